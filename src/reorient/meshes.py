@@ -1,0 +1,70 @@
+"""Meshes: load, check, centre and scale. A mesh is a ``trimesh.Trimesh``; lengths are metres once scaled."""
+
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from reorient.errors import ReorientError
+
+
+def load_mesh(path: str | Path) -> trimesh.Trimesh:
+    """A surface from a file: .npz with ``v`` (n, 3) and ``f`` (m, 3), or whatever trimesh loads.
+
+    Units are the file's own. Raises ReorientError for a missing, broken or truncated file and for what is no surface.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise ReorientError(f"no mesh file {str(path)!r}: expected an existing .stl, .obj, .ply, .dae, .npz, ... file")
+    try:
+        if path.suffix == ".npz":
+            with np.load(path) as arrays:
+                mesh = trimesh.Trimesh(arrays["v"].astype(float), arrays["f"].astype(int), process=False)
+        else:
+            mesh = trimesh.load(path, force="mesh", process=False)
+    except ReorientError:
+        raise
+    except Exception as error:  # the loaders of a dozen formats raise whatever they like
+        raise ReorientError(
+            f"cannot read mesh {str(path)!r} ({type(error).__name__}: {error}): expected a complete file that trimesh "
+            "loads, or .npz with v (n, 3) and f (m, 3)"
+        ) from error
+    return check_surface(mesh, str(path))
+
+
+def check_surface(mesh: object, name: str = "mesh") -> trimesh.Trimesh:
+    """The mesh itself if it is a surface. Raises ReorientError for no faces, bad indices, NaN or no area."""
+    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+        raise ReorientError(f"{name!r} has no faces: expected a triangle mesh, not points or curves")
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+        raise ReorientError(f"{name!r} has faces that name missing vertices: expected indices below {len(mesh.vertices)}")
+    if not np.all(np.isfinite(mesh.vertices)):
+        raise ReorientError(f"{name!r} has NaN or infinite vertices: expected finite coordinates")
+    if not mesh.area > 1e-12 * mesh.scale**2:
+        raise ReorientError(f"{name!r} has no area: expected a surface, all its triangles are degenerate")
+    return mesh
+
+
+def center(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """A copy whose bounding box is centred on the origin; vertices that no face uses are dropped."""
+    used, faces = np.unique(mesh.faces, return_inverse=True)
+    vertices = np.asarray(mesh.vertices, float)[used]
+    vertices = vertices - (vertices.max(axis=0) + vertices.min(axis=0)) / 2
+    return trimesh.Trimesh(vertices, faces.reshape(-1, 3), process=False, metadata=dict(mesh.metadata))
+
+
+def bounding_radius(mesh: trimesh.Trimesh) -> float:
+    """Largest distance of a vertex from the origin."""
+    return float(np.linalg.norm(mesh.vertices, axis=1).max())
+
+
+def scale_to_radius(mesh: trimesh.Trimesh, radius_m: float) -> trimesh.Trimesh:
+    """A centred copy that just fits a sphere of this radius around the origin."""
+    centred = center(mesh)
+    return centred.apply_scale(radius_m / bounding_radius(centred))
+
+
+def scale_to_diagonal(mesh: trimesh.Trimesh, diagonal_m: float) -> trimesh.Trimesh:
+    """A centred copy whose bounding box has this diagonal."""
+    centred = center(mesh)
+    return centred.apply_scale(diagonal_m / float(np.linalg.norm(np.ptp(centred.vertices, axis=0))))
