@@ -1,0 +1,27 @@
+"""Turn a never-seen object to match a picture.
+
+>>> from reorient import Camera, DepthImage, load_estimator, orient
+"""
+
+from reorient.controller import OrientResult, Proportional, Step, orient
+from reorient.depth import Camera, DepthImage
+from reorient.errors import ReorientError, StationError
+from reorient.estimators import load_estimator
+from reorient.estimators.base import Estimator, RotationEstimate
+from reorient.stations.base import Station
+
+__version__ = "0.1.0.dev0"
+__all__ = [
+    "Camera",
+    "DepthImage",
+    "Estimator",
+    "OrientResult",
+    "Proportional",
+    "ReorientError",
+    "RotationEstimate",
+    "Station",
+    "StationError",
+    "Step",
+    "load_estimator",
+    "orient",
+]

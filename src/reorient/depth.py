@@ -1,0 +1,238 @@
+"""Depth images: the pinhole camera, the image and its checks, points, crops, and the virtual camera.
+
+Camera axes are OpenCV's: x right, y down, z forward. Pixel centres lie at +0.5: the pixel in row 0, column 0 covers
+[0, 1) x [0, 1), so that cropping subtracts whole numbers from cx, cy and resizing scales fx, fy, cx, cy alike.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from reorient import so3
+from reorient.errors import ReorientError
+
+MILLIMETRES_ABOVE = 20.0  # a median depth of over 20 is taken for millimetres: no depth camera holds an object there
+ISOLATED_BELOW = 0.6  # an object alone leaves at least this much of the frame empty
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera without distortion. Raises ReorientError for sizes or focal lengths that are none."""
+
+    width: int
+    """Columns, px."""
+    height: int
+    """Rows, px."""
+    fx: float
+    """Focal length along x, px."""
+    fy: float
+    """Focal length along y, px."""
+    cx: float
+    """Principal point, px from the left edge of the image (centre of the first pixel: 0.5)."""
+    cy: float
+    """Principal point, px from the top edge of the image."""
+
+    def __post_init__(self) -> None:
+        if self.width != int(self.width) or self.height != int(self.height) or min(self.width, self.height) < 1:
+            raise ReorientError(f"camera of {self.width} x {self.height} px: expected whole numbers above 0")
+        if not all(np.isfinite([self.fx, self.fy, self.cx, self.cy])) or min(self.fx, self.fy) <= 0:
+            raise ReorientError(
+                f"camera with fx={self.fx}, fy={self.fy}, cx={self.cx}, cy={self.cy}: expected finite pixels, fx, fy > 0"
+            )
+
+    def cropped(self, left: int, top: int, width: int, height: int) -> "Camera":
+        """The camera of a window of this image; the window may reach beyond it."""
+        return replace(self, width=width, height=height, cx=self.cx - left, cy=self.cy - top)
+
+    def resized(self, width: int, height: int) -> "Camera":
+        """The camera of this image scaled to another size in pixels."""
+        sx, sy = width / self.width, height / self.height
+        return Camera(width, height, self.fx * sx, self.fy * sy, self.cx * sx, self.cy * sy)
+
+    def rays(self) -> Float[np.ndarray, "height width 3"]:
+        """Through every pixel centre the direction (x, y, 1): times a depth, the point in camera axes."""
+        x = (np.arange(self.width) + 0.5 - self.cx) / self.fx
+        y = (np.arange(self.height) + 0.5 - self.cy) / self.fy
+        u, v = np.meshgrid(x, y)
+        return np.stack([u, v, np.ones_like(u)], axis=-1)
+
+    def project(self, points_m: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 2"]:
+        """Pixel coordinates (column, row) of points in front of the camera; NaN for z <= 0."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            z = np.where(points_m[..., 2] > 0, points_m[..., 2], np.nan)
+            u = self.fx * points_m[..., 0] / z + self.cx
+            v = self.fy * points_m[..., 1] / z + self.cy
+        return np.stack([u, v], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class DepthImage:
+    """Depth of one isolated object, as a camera saw it.
+
+    Raises ReorientError for a wrong shape or dtype, NaN or infinity, negative or all-zero depth, and what looks like
+    millimetres. Floating-point depth of any width is kept as float32.
+    """
+
+    depth_m: Float[np.ndarray, "height width"]
+    """Metres along the optical axis; 0 = no return, or not the object."""
+    camera: Camera
+    stamp_s: float | None = None
+    """When it was captured, seconds on the station's clock; None if unknown."""
+
+    def __post_init__(self) -> None:
+        depth_m = np.asarray(self.depth_m)
+        if not isinstance(self.camera, Camera):
+            raise ReorientError(
+                "missing intrinsics: expected a reorient.Camera (width, height, fx, fy, cx, cy) with the depth image"
+            )
+        if not np.issubdtype(depth_m.dtype, np.floating):
+            raise ReorientError(
+                f"depth of dtype {depth_m.dtype}: expected floating-point metres (raw 16-bit units times their scale, "
+                "often 0.001)"
+            )
+        if depth_m.shape != (self.camera.height, self.camera.width):
+            raise ReorientError(
+                f"depth of shape {depth_m.shape}: expected (height, width) = ({self.camera.height}, "
+                f"{self.camera.width}) as in its camera"
+            )
+        if not np.all(np.isfinite(depth_m)):
+            raise ReorientError(
+                f"depth has {np.count_nonzero(~np.isfinite(depth_m))} NaN or infinite pixels: expected 0 for no return "
+                "(numpy.nan_to_num)"
+            )
+        if depth_m.min() < 0:
+            raise ReorientError(f"depth as low as {depth_m.min():.3g} m: expected no negative value, 0 for no return")
+        if not depth_m.any():
+            raise ReorientError("depth is 0 everywhere: expected returns from the object (empty frame or empty mask?)")
+        median = float(np.median(depth_m[depth_m > 0]))
+        if median > MILLIMETRES_ABOVE:
+            raise ReorientError(f"median depth is {median:.0f}: this looks like millimetres, expected metres (times 0.001)")
+        object.__setattr__(self, "depth_m", depth_m.astype(np.float32))
+
+    @property
+    def valid(self) -> Bool[np.ndarray, "height width"]:
+        """Where there is a return."""
+        return self.depth_m > 0
+
+    def points(self) -> Float[np.ndarray, "n 3"]:
+        """The returns as points in camera axes, metres, row by row."""
+        valid = self.valid
+        return self.camera.rays()[valid] * self.depth_m[valid][:, None].astype(np.float64)
+
+    def cropped(self, left: int, top: int, width: int, height: int) -> "DepthImage":
+        """A window; where it reaches beyond the image it has no returns. Raises ReorientError if none is left."""
+        out = np.zeros((height, width), np.float32)
+        rows = slice(max(top, 0), min(top + height, self.camera.height))
+        columns = slice(max(left, 0), min(left + width, self.camera.width))
+        if rows.start < rows.stop and columns.start < columns.stop:
+            out[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left] = self.depth_m[rows, columns]
+        return replace(self, depth_m=out, camera=self.camera.cropped(left, top, width, height))
+
+    def resized(self, width: int, height: int) -> "DepthImage":
+        """Another size by nearest neighbour: mixing depths across an edge would invent points."""
+        rows = ((np.arange(height) + 0.5) * self.camera.height / height).astype(int)
+        columns = ((np.arange(width) + 0.5) * self.camera.width / width).astype(int)
+        return replace(self, depth_m=self.depth_m[np.ix_(rows, columns)], camera=self.camera.resized(width, height))
+
+
+def require_isolated(image: DepthImage) -> DepthImage:
+    """The image itself. Raises ReorientError where returns fill more than 60% of it."""
+    share = float(np.mean(image.valid))
+    if share > ISOLATED_BELOW:
+        raise ReorientError(
+            f"isolate the object: returns fill {share:.0%} of the image, expected at most {ISOLATED_BELOW:.0%}; "
+            "give a mask, a box or a near/far range (--mask, --box, --near, --far)"
+        )
+    return image
+
+
+def isolate(
+    image: DepthImage,
+    mask: Bool[np.ndarray, "height width"] | None = None,
+    box_px: tuple[int, int, int, int] | None = None,
+    near_m: float | None = None,
+    far_m: float | None = None,
+) -> DepthImage:
+    """Only the returns inside the mask, the box (left, top, width, height) and the depth range; the size stays.
+
+    Raises ReorientError for a mask of another size, where nothing is left, and where over 60% is left.
+    """
+    keep = image.valid.copy()
+    if mask is not None:
+        if mask.shape != keep.shape:
+            raise ReorientError(f"mask of shape {mask.shape}: expected {keep.shape} as its depth image")
+        if not mask.any():
+            raise ReorientError("the mask is empty: expected non-zero pixels on the object")
+        keep &= mask
+    if box_px is not None:
+        left, top, width, height = box_px
+        if width < 1 or height < 1:
+            raise ReorientError(f"box of {width} x {height} px: expected left, top, width, height with a size above 0")
+        inside = np.zeros_like(keep)
+        inside[max(top, 0) : max(top + height, 0), max(left, 0) : max(left + width, 0)] = True
+        keep &= inside
+    if near_m is not None:
+        keep &= image.depth_m >= near_m
+    if far_m is not None:
+        keep &= image.depth_m <= far_m
+    if not keep.any():
+        raise ReorientError("nothing is left of the image: expected returns inside the mask, the box and the depth range")
+    return require_isolated(replace(image, depth_m=np.where(keep, image.depth_m, np.float32(0))))
+
+
+# --- the virtual camera ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class VirtualCamera:
+    """A camera in the place of the real one, turned to look straight at the object and zoomed to it.
+
+    What it sees depends little on the real camera, so a network trained on one camera serves them all.
+    """
+
+    camera: Camera
+    R_virtual_camera: Float[np.ndarray, "3 3"]
+    """Takes the real camera's axes to the virtual one's."""
+
+    def view(self, image: DepthImage) -> DepthImage:
+        """The image resampled (nearest neighbour) to this camera."""
+        rays = self.camera.rays()
+        directions = rays @ self.R_virtual_camera  # row vectors: R.T applied to each, virtual -> real
+        pixel = np.nan_to_num(np.floor(image.camera.project(directions)), nan=-1).astype(int)
+        u, v = pixel[..., 0], pixel[..., 1]
+        inside = (u >= 0) & (u < image.camera.width) & (v >= 0) & (v < image.camera.height)
+        z = np.where(inside, image.depth_m[np.where(inside, v, 0), np.where(inside, u, 0)], 0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            depth_m = np.where(z > 0, z / directions[..., 2], 0).astype(np.float32)
+        return DepthImage(depth_m, self.camera, image.stamp_s)
+
+    def to_camera(self, R_virtual: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
+        """A rotation of the object estimated in virtual axes, in the real camera's axes (conjugation)."""
+        return self.R_virtual_camera.T @ R_virtual @ self.R_virtual_camera
+
+
+def aim(
+    current: DepthImage,
+    goal: DepthImage,
+    pivot_m: Float[np.ndarray, "3"] | None = None,
+    size_px: int = 128,
+    fill: float = 0.85,
+) -> VirtualCamera:
+    """One virtual camera for a pair, aimed at the pivot (else at the middle of all returns).
+
+    The farthest return of either image lies at ``fill`` of the half width. ``size_px``: rows and columns.
+    """
+    points = np.concatenate([current.points(), goal.points()])
+    target = (points.min(axis=0) + points.max(axis=0)) / 2 if pivot_m is None else np.asarray(pivot_m, float)
+    if not (target.shape == (3,) and np.all(np.isfinite(target)) and target[2] > 0):
+        raise ReorientError(f"pivot {target}: expected three finite numbers, metres in camera axes, in front of the camera")
+    direction = target / np.linalg.norm(target)
+    axis = np.cross(direction, [0.0, 0.0, 1.0])
+    sine = np.linalg.norm(axis)
+    R_virtual_camera = so3.exp(axis / sine * np.arctan2(sine, direction[2])) if sine > 0 else np.eye(3)
+    seen = points @ R_virtual_camera.T
+    extent = np.abs(seen[:, :2] / seen[:, 2:]).max()
+    half = size_px / 2
+    f = fill * half / extent
+    return VirtualCamera(Camera(size_px, size_px, f, f, half, half), R_virtual_camera)

@@ -1,0 +1,243 @@
+"""Estimators x objects x angles x noise: one raw row each, summaries last.
+
+A run folder holds ``config.json`` (what was asked, and the commit) and ``rows.csv.gz``. Rows are appended to
+``rows.partial.csv`` pair by pair, so that an interrupted run goes on where it stopped.
+"""
+
+import csv
+import gzip
+import io
+import json
+import shutil
+import subprocess
+import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from reorient import __version__, so3
+from reorient.errors import ReorientError
+from reorient.estimators import load_estimator
+from reorient.estimators.base import Estimator
+from reorient.files import replacing
+from reorient.objects import ObjectSet, folder, generated, package
+from reorient.pairs import Pair, sample_pair
+from reorient.rendering import Renderer, load_world
+from reorient.sensing import randomised
+from reorient.symmetry import SymmetryGroup, rotation_group, symmetric_error
+
+COLUMNS = (
+    "object pair world noise_mm low_deg high_deg estimator angle_deg error_deg error_sym_deg qw qx qy qz seconds "
+    "agreement fit in_front outside behind residual_mm converged iterations confidence message"
+).split()
+
+Row = dict[str, str]
+
+
+@dataclass(frozen=True)
+class ObjectSource:
+    """Where objects come from: generated unless a folder or a package is named."""
+
+    meshes: Path | None = None
+    """A folder of meshes (.obj, .stl, .ply, .dae, .npz with v and f, ...)."""
+    package: str | None = None
+    """An installed pip package that ships meshes: example-robot-data, rtb-data or pybullet."""
+    only: Path | None = None
+    """A text file with the names of the objects to use, one a line."""
+    count: int = 100
+    """How many objects to generate."""
+    object_seed: int = 0
+    """Which sequence of the generator."""
+
+    def open(self) -> ObjectSet:
+        """The set. Raises ReorientError for a missing folder or package, or an unknown name."""
+        if self.meshes is not None and self.package is not None:
+            raise ReorientError("both --meshes and --package given: expected one source of objects")
+        if self.meshes is not None:
+            objects = folder(self.meshes)
+        elif self.package is not None:
+            objects = package(self.package)
+        else:
+            objects = generated(self.count, self.object_seed)
+        if self.only is None:
+            return objects
+        if not self.only.is_file():
+            raise ReorientError(f"no file {str(self.only)!r}: expected object names, one a line")
+        return objects.only(self.only.read_text().split())
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What to measure."""
+
+    objects: ObjectSource
+    estimators: tuple[str, ...] = ("gicp", "icp")
+    """Names of estimators."""
+    world: str = "benchmark"
+    """Preset of camera, size and distance: benchmark or paper."""
+    ranges_deg: tuple[tuple[float, float], ...] = ((0, 30), (30, 60))
+    """Ranges of the angle between start and goal."""
+    noise_mm: tuple[float, ...] = (0.0, 1.0)
+    """Depth noise of the structured-light sensor; 0: rectangle and dropouts alone."""
+    pairs: int = 300
+    """Pairs in each cell, spread over the objects."""
+    pivot: bool = False
+    """Give the estimators the nominal pivot, up to 1 cm wrong along each axis."""
+    seed: int = 0
+
+
+def evaluate(config: Evaluation, out: Path, workers: int = 1) -> Iterator[tuple[int, int]]:
+    """Run, yielding (pairs done, pairs in all); the rows are in ``out/rows.csv.gz`` when it ends.
+
+    Goes on where an earlier run of the same config stopped. Raises ReorientError where ``out`` holds another config.
+    Times are honest with one worker only.
+    """
+    for name in config.estimators:
+        load_estimator(name)
+    load_world(config.world)
+    if config.pairs < 1 or workers < 1:
+        raise ReorientError(f"{config.pairs} pairs, {workers} workers: expected at least 1 of each")
+    names = config.objects.open().names
+    out.mkdir(parents=True, exist_ok=True)
+    _write_config(config, out)
+    partial, finished = out / "rows.partial.csv", out / "rows.csv.gz"
+    if finished.is_file():
+        yield config.pairs, config.pairs
+        return
+    per_pair = len(config.ranges_deg) * len(config.noise_mm) * len(config.estimators)
+    done = _whole_pairs(partial, per_pair)
+    tasks = [(config, names[index % len(names)], index) for index in range(done, config.pairs)]
+    yield done, config.pairs
+    with ProcessPoolExecutor(workers) as pool, partial.open("a", newline="") as file:
+        results = pool.map(_measure_pair, tasks) if workers > 1 else map(_measure_pair, tasks)
+        for rows in results:
+            buffer = io.StringIO()
+            csv.DictWriter(buffer, COLUMNS).writerows(rows)
+            file.write(buffer.getvalue())
+            file.flush()
+            done += 1
+            yield done, config.pairs
+    with replacing(finished) as temporary, partial.open("rb") as raw, gzip.GzipFile(temporary, "wb", mtime=0) as packed:
+        packed.write((",".join(COLUMNS) + "\r\n").encode())
+        shutil.copyfileobj(raw, packed)
+    partial.unlink()
+
+
+def read_config(path: Path) -> Evaluation:
+    """The config of a run folder. Raises ReorientError where there is none."""
+    file = path / "config.json"
+    if not file.is_file():
+        raise ReorientError(f"no evaluation in {str(path)!r}: expected config.json and rows.csv.gz")
+    data = json.loads(file.read_text())["config"]
+    source = data.pop("objects")
+    for name in ("meshes", "only"):
+        source[name] = None if source[name] is None else Path(source[name])
+    data["ranges_deg"] = tuple(tuple(x) for x in data["ranges_deg"])
+    for name in ("estimators", "noise_mm"):
+        data[name] = tuple(data[name])
+    return Evaluation(ObjectSource(**source), **data)
+
+
+def regenerate(config: Evaluation, row: Row) -> tuple[Pair, Renderer]:
+    """The images of a row again, from its seeds, and the renderer of its object."""
+    renderer = Renderer(config.objects.open().load(row["object"]))
+    pair = _pair(config, renderer, int(row["pair"]), float(row["low_deg"]), float(row["high_deg"]), float(row["noise_mm"]))
+    return pair, renderer
+
+
+def _measure_pair(task: tuple[Evaluation, str, int]) -> list[Row]:
+    config, name, index = task
+    mesh, group = _object(config.objects, name)
+    renderer = Renderer(mesh)
+    rows = []
+    for low, high in config.ranges_deg:
+        for noise_mm in config.noise_mm:
+            pair = _pair(config, renderer, index, low, high, noise_mm)
+            cell = {"object": name, "pair": index, "world": config.world, "noise_mm": noise_mm, "low_deg": low, "high_deg": high}
+            pivot_m = load_world(config.world).nominal_pivot_m if config.pivot else None
+            for estimator in config.estimators:
+                rows.append(cell | {"estimator": estimator} | _measure(_estimator(estimator), pair, group, pivot_m))
+    return [{column: str(row[column]) for column in COLUMNS} for row in rows]
+
+
+def _pair(config: Evaluation, renderer: Renderer, index: int, low: float, high: float, noise_mm: float) -> Pair:
+    rng = np.random.default_rng([config.seed, index, round(low * 1000), round(high * 1000), round(noise_mm * 1000)])
+    return sample_pair(
+        rng, renderer, load_world(config.world), randomised(noise_mm / 1000), np.radians(low), np.radians(high)
+    )
+
+
+def _measure(estimator: Estimator, pair: Pair, group: SymmetryGroup, pivot_m: np.ndarray | None) -> dict[str, Any]:
+    """One row's figures. An estimator that refuses has answered "no rotation"; the message says why."""
+    begin = time.perf_counter()
+    try:
+        estimate = estimator.estimate(pair.current, pair.goal, pivot_m)
+    except ReorientError as error:
+        R, message, figures = np.eye(3), str(error), {}
+    else:
+        R, message = estimate.R_goal_current, ""
+        evidence = estimate.evidence
+        names = ("agreement", "fit", "in_front", "outside", "behind")
+        figures = {name: f"{getattr(evidence, name):.4f}" for name in names} | {
+            "residual_mm": f"{1000 * evidence.residual_m:.4f}",
+            "converged": int(evidence.converged),
+            "iterations": evidence.iterations,
+            "confidence": "" if estimate.confidence is None else f"{estimate.confidence:.4f}",
+        }
+    seconds = time.perf_counter() - begin
+    figures |= {f"q{part}": f"{x:.9f}" for part, x in zip("wxyz", so3.quat_from_matrix(R), strict=True)}
+    return dict.fromkeys(COLUMNS, "") | figures | {
+        "angle_deg": f"{np.degrees(so3.angle(pair.R_goal_current)):.4f}",
+        "error_deg": f"{np.degrees(so3.angle_difference(R, pair.R_goal_current)):.5f}",
+        "error_sym_deg": f"{np.degrees(symmetric_error(group, R, pair.R_goal_current, pair.R_camera_object)):.5f}",
+        "seconds": f"{seconds:.5f}",
+        "message": message,
+    }
+
+
+@lru_cache(maxsize=8)
+def _object(source: ObjectSource, name: str) -> tuple[Any, SymmetryGroup]:
+    mesh = source.open().load(name)
+    return mesh, rotation_group(mesh)
+
+
+@lru_cache
+def _estimator(name: str) -> Estimator:
+    return load_estimator(name)
+
+
+def _write_config(config: Evaluation, out: Path) -> None:
+    file = out / "config.json"
+    asked = json.loads(json.dumps(asdict(config), default=str))
+    if file.is_file():
+        if json.loads(file.read_text())["config"] != asked:
+            raise ReorientError(f"{str(out)!r} holds a run of another config: expected the same, or a new folder")
+        return
+    with replacing(file) as temporary:
+        temporary.write_text(json.dumps({"config": asked, "version": __version__, "commit": _commit()}, indent=2) + "\n")
+
+
+def _commit() -> str | None:
+    try:
+        root = Path(__file__).parent
+        return subprocess.run(
+            ["git", "describe", "--always", "--dirty"], cwd=root, capture_output=True, text=True, check=True
+        ).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return None
+
+
+def _whole_pairs(partial: Path, per_pair: int) -> int:
+    """How many pairs an interrupted run has finished; what it left of the next one is cut off."""
+    if not partial.is_file():
+        return 0
+    lines = partial.read_bytes().splitlines(keepends=True)
+    whole = sum(line.endswith(b"\r\n") for line in lines) // per_pair
+    with replacing(partial) as temporary:
+        temporary.write_bytes(b"".join(lines[: whole * per_pair]))
+    return whole

@@ -1,0 +1,155 @@
+"""Depth of a mesh in a pose, by ray casting (Embree): no GPU, no OpenGL, no display.
+
+One scene per object, built once; to pose the object the rays are turned instead. Directions have z = 1, so Embree's
+distance along a ray *is* the depth. Both sides of every triangle are seen. Worlds say how large the object is and where.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+from jaxtyping import Bool, Float
+from numpy.random import Generator
+
+from reorient.depth import Camera
+from reorient.errors import unknown_name
+from reorient.meshes import bounding_radius, center
+
+_HULL_ABOVE = 200  # meshes with more vertices are framed by those of their convex hull
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Size and place of an object before a camera; the object turns about its own origin, which lies there."""
+
+    scale_m: float
+    """Metres per unit of the mesh."""
+    center_m: Float[np.ndarray, "3"]
+    """The object's origin in camera axes."""
+
+
+@dataclass(frozen=True)
+class World:
+    """p(object before the camera): which camera, how large the object, where its origin. Start and goal share it."""
+
+    camera: Camera
+    radius_m: float | None
+    """Radius of the bounding sphere; None: sized by ``diagonal_m``."""
+    diagonal_m: tuple[float, float]
+    """Range of the bounding box's diagonal, where ``radius_m`` is None."""
+    distance_m: tuple[float, float]
+    """Range of the origin's depth."""
+    shift_m: float
+    """Largest shift of the origin along camera x and y, either way."""
+    quantum_m: float = 2.0 / 65535
+    """Depth step of the 16-bit image (paper, "Simulator")."""
+
+    @property
+    def nominal_pivot_m(self) -> Float[np.ndarray, "3"]:
+        """Where the origin would be without jitter: what a robot knows of its rotation centre, to about 1 cm."""
+        return np.array([0.0, 0.0, sum(self.distance_m) / 2])
+
+    def place(self, rng: Generator, mesh: trimesh.Trimesh) -> Placement:
+        """Draw the size and the place of a centred mesh."""
+        if self.radius_m is not None:
+            scale_m = self.radius_m / bounding_radius(mesh)
+        else:
+            scale_m = rng.uniform(*self.diagonal_m) / float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+        x, y = rng.uniform(-self.shift_m, self.shift_m, 2)
+        return Placement(scale_m, np.array([x, y, rng.uniform(*self.distance_m)]))
+
+
+WORLDS = {
+    # the release's simulator: facts that the paper leaves out
+    "paper": World(Camera(128, 128, 300.0, 300.0, 64.0, 64.0), None, (0.20, 0.25), (0.57, 0.62), 0.01),
+    "benchmark": World(Camera(128, 128, 331.0, 331.0, 64.0, 64.0), 0.1, (0.0, 0.0), (0.59, 0.61), 0.01),
+}
+
+
+def load_world(name: str) -> World:
+    """A preset by name. Raises ReorientError for an unknown one."""
+    if name not in WORLDS:
+        raise unknown_name("world", name, list(WORLDS))
+    return WORLDS[name]
+
+
+class Renderer:
+    """Casts rays at one mesh, centred on its bounding box."""
+
+    def __init__(self, mesh: trimesh.Trimesh) -> None:
+        self.mesh = center(mesh)
+        self._scene = EmbreeScene()
+        self._triangles = TriangleMesh(self._scene, self.mesh.vertices[self.mesh.faces].astype(np.float32))
+        vertices = self.mesh.vertices
+        if len(vertices) > _HULL_ABOVE:
+            try:
+                vertices = self.mesh.convex_hull.vertices
+            except Exception:  # flat meshes have no hull: qhull raises its own errors
+                vertices = trimesh.bounds.corners(self.mesh.bounds)
+        self._outline = np.asarray(vertices, float)
+
+    def depth(
+        self, camera: Camera, R_camera_object: Float[np.ndarray, "3 3"], placement: Placement
+    ) -> Float[np.ndarray, "height width"]:
+        """Exact depth, float32 metres, 0 where no surface is hit."""
+        depth_m = np.zeros((camera.height, camera.width), np.float32)
+        window, origin, directions = self._rays(camera, R_camera_object, placement)
+        if len(directions):
+            distance = self._scene.run(origin, directions, query="DISTANCE")
+            depth_m[window] = np.where(distance < 1e30, distance * placement.scale_m, 0).reshape(depth_m[window].shape)
+        return depth_m
+
+    def depth_and_incidence(
+        self, camera: Camera, R_camera_object: Float[np.ndarray, "3 3"], placement: Placement
+    ) -> tuple[Float[np.ndarray, "height width"], Float[np.ndarray, "height width"]]:
+        """Depth as above, and |cos| of the angle between the ray and the surface normal (0 where nothing is hit)."""
+        depth_m = np.zeros((camera.height, camera.width), np.float32)
+        cosine = np.zeros_like(depth_m)
+        window, origin, directions = self._rays(camera, R_camera_object, placement)
+        if len(directions):
+            hits = self._scene.run(origin, directions, output=1)
+            hit = hits["primID"] >= 0
+            normal = hits["Ng"]
+            length = np.linalg.norm(normal, axis=1) * np.linalg.norm(directions, axis=1)
+            cos = np.abs(np.sum(normal * directions, axis=1)) / np.where(length > 0, length, 1)
+            shape = depth_m[window].shape
+            depth_m[window] = np.where(hit, hits["tfar"] * placement.scale_m, 0).reshape(shape)
+            cosine[window] = np.where(hit, cos, 0).reshape(shape)
+        return depth_m, cosine
+
+    def shadowed(
+        self,
+        points_m: Float[np.ndarray, "n 3"],
+        projector_m: Float[np.ndarray, "3"],
+        R_camera_object: Float[np.ndarray, "3 3"],
+        placement: Placement,
+    ) -> Bool[np.ndarray, " n"]:
+        """Which surface points (camera axes) the object itself hides from a projector at ``projector_m``."""
+        surface = (points_m - placement.center_m) @ R_camera_object / placement.scale_m
+        source = (projector_m - placement.center_m) @ R_camera_object / placement.scale_m
+        towards = surface - source  # from the projector: lit if the first hit is the point itself
+        distance = self._scene.run(
+            np.broadcast_to(source, surface.shape).astype(np.float32), towards.astype(np.float32), query="DISTANCE"
+        )
+        return distance < 1 - 2e-3
+
+    def _rays(
+        self, camera: Camera, R_camera_object: Float[np.ndarray, "3 3"], placement: Placement
+    ) -> tuple[tuple[slice, slice], np.ndarray, np.ndarray]:
+        """The image window around the object, and for its pixels the rays in the mesh's frame and unit."""
+        corners = self._outline @ R_camera_object.T * placement.scale_m + placement.center_m
+        top, left, bottom, right = 0, 0, camera.height, camera.width
+        if corners[:, 2].min() > 0:
+            low, high = np.floor(camera.project(corners).min(axis=0)), np.ceil(camera.project(corners).max(axis=0))
+            left, top = (int(max(x, 0)) for x in low)
+            right, bottom = min(int(high[0]), camera.width), min(int(high[1]), camera.height)
+        window = slice(top, max(bottom, top)), slice(left, max(right, left))
+        x = (np.arange(left, window[1].stop) + 0.5 - camera.cx) / camera.fx
+        y = (np.arange(top, window[0].stop) + 0.5 - camera.cy) / camera.fy
+        # rows of R are the camera axes in the object's frame
+        columns, rows = x[:, None] * R_camera_object[0], y[:, None] * R_camera_object[1] + R_camera_object[2]
+        directions = (rows[:, None] + columns[None]).reshape(-1, 3).astype(np.float32)
+        origin = (-placement.center_m @ R_camera_object / placement.scale_m).astype(np.float32)
+        return window, np.broadcast_to(origin, directions.shape).copy(), directions

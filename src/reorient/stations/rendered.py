@@ -1,0 +1,75 @@
+"""A station without a robot: the object floats before a rendered camera and turns exactly as asked."""
+
+from dataclasses import replace
+
+import numpy as np
+import trimesh
+from jaxtyping import Float
+from numpy.random import Generator
+
+from reorient import so3
+from reorient.depth import DepthImage
+from reorient.errors import StationError
+from reorient.rendering import Renderer, World
+from reorient.sensing import Sensor, sense
+
+FRAME_S = 0.1  # simulated seconds a capture takes
+
+
+class RenderedStation:
+    """The simulator of the paper's controller experiments.
+
+    Captures bear the sensor's rectangle (the gripper); the goal does not. ``R_camera_object`` is the truth, which
+    ``capture`` shows and nothing else may read but a score.
+    """
+
+    def __init__(
+        self,
+        mesh: trimesh.Trimesh,
+        world: World,
+        sensor: Sensor,
+        rng: Generator,
+        R_camera_object: Float[np.ndarray, "3 3"] | None = None,
+    ) -> None:
+        self._renderer = Renderer(mesh)
+        self._world = world
+        self._sensor = sensor
+        self._rng = rng
+        self.placement = world.place(rng, self._renderer.mesh)
+        self.R_camera_object = so3.sample_uniform(rng, 1)[0] if R_camera_object is None else R_camera_object
+        self._time_s = 0.0
+
+    @property
+    def pivot_m(self) -> Float[np.ndarray, "3"]:
+        """The nominal place of the object, up to 1 cm from its true centre."""
+        return self._world.nominal_pivot_m
+
+    def capture(self) -> DepthImage:
+        """The object as it is now, behind the gripper's rectangle."""
+        return self._sense(occluded=True)
+
+    def capture_goal(self) -> DepthImage:
+        """The object as it is now, unoccluded, to serve as a goal."""
+        return self._sense(occluded=False)
+
+    def rotate(self, R_step: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
+        """Turn the object, exactly. Raises StationError for what is no rotation."""
+        if not so3.is_rotation(np.asarray(R_step)):
+            raise StationError("refused to rotate: expected a (3, 3) rotation matrix")
+        self.R_camera_object = R_step @ self.R_camera_object
+        self._time_s += FRAME_S
+        return R_step
+
+    def _sense(self, occluded: bool) -> DepthImage:
+        image = sense(
+            self._rng,
+            self._renderer,
+            self._world.camera,
+            self.R_camera_object,
+            self.placement,
+            self._sensor,
+            self._world.quantum_m,
+            occluded,
+        )
+        self._time_s += FRAME_S
+        return replace(image, stamp_s=self._time_s)
