@@ -5,7 +5,7 @@ It knows only what an estimator and a station are. Recording, drawing and printi
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -49,6 +49,7 @@ class OrientResult:
         return sum(step.R_executed is not None for step in self.steps)
 
 
+@runtime_checkable
 class Strategy(Protocol):
     """Decides each move from the latest estimate."""
 

@@ -38,7 +38,7 @@ class Camera:
             raise ReorientError(f"camera of {self.width} x {self.height} px: expected whole numbers above 0")
         if not all(np.isfinite([self.fx, self.fy, self.cx, self.cy])) or min(self.fx, self.fy) <= 0:
             raise ReorientError(
-                f"camera with fx={self.fx}, fy={self.fy}, cx={self.cx}, cy={self.cy}: expected finite pixels, fx, fy > 0"
+                f"camera of fx={self.fx}, fy={self.fy}, cx={self.cx}, cy={self.cy}: expected finite pixels, fx, fy > 0"
             )
 
     def cropped(self, left: int, top: int, width: int, height: int) -> "Camera":
@@ -107,7 +107,9 @@ class DepthImage:
             raise ReorientError("depth is 0 everywhere: expected returns from the object (empty frame or empty mask?)")
         median = float(np.median(depth_m[depth_m > 0]))
         if median > MILLIMETRES_ABOVE:
-            raise ReorientError(f"median depth is {median:.0f}: this looks like millimetres, expected metres (times 0.001)")
+            raise ReorientError(
+                f"median depth is {median:.0f}: this looks like millimetres, expected metres (times 0.001)"
+            )
         object.__setattr__(self, "depth_m", depth_m.astype(np.float32))
 
     @property
@@ -126,7 +128,8 @@ class DepthImage:
         rows = slice(max(top, 0), min(top + height, self.camera.height))
         columns = slice(max(left, 0), min(left + width, self.camera.width))
         if rows.start < rows.stop and columns.start < columns.stop:
-            out[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left] = self.depth_m[rows, columns]
+            inside = slice(rows.start - top, rows.stop - top), slice(columns.start - left, columns.stop - left)
+            out[inside] = self.depth_m[rows, columns]
         return replace(self, depth_m=out, camera=self.camera.cropped(left, top, width, height))
 
     def resized(self, width: int, height: int) -> "DepthImage":
@@ -177,7 +180,9 @@ def isolate(
     if far_m is not None:
         keep &= image.depth_m <= far_m
     if not keep.any():
-        raise ReorientError("nothing is left of the image: expected returns inside the mask, the box and the depth range")
+        raise ReorientError(
+            "nothing is left of the image: expected returns inside the mask, the box and the depth range"
+        )
     return require_isolated(replace(image, depth_m=np.where(keep, image.depth_m, np.float32(0))))
 
 
@@ -226,7 +231,9 @@ def aim(
     points = np.concatenate([current.points(), goal.points()])
     target = (points.min(axis=0) + points.max(axis=0)) / 2 if pivot_m is None else np.asarray(pivot_m, float)
     if not (target.shape == (3,) and np.all(np.isfinite(target)) and target[2] > 0):
-        raise ReorientError(f"pivot {target}: expected three finite numbers, metres in camera axes, in front of the camera")
+        raise ReorientError(
+            f"pivot {target}: expected three finite numbers, metres in camera axes, in front of the camera"
+        )
     direction = target / np.linalg.norm(target)
     axis = np.cross(direction, [0.0, 0.0, 1.0])
     sine = np.linalg.norm(axis)

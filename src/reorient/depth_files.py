@@ -43,14 +43,14 @@ def write_camera(path: str | Path, camera: Camera) -> None:
 def read_depth(path: str | Path, camera: Camera | None = None, scale_m: float | None = None) -> DepthImage:
     """A depth image from .png, .tif(f), .npy or .npz.
 
-    ``camera``: its intrinsics, unless the file states them. ``scale_m``: metres per unit, overrides what the file states.
+    ``camera``: its intrinsics, unless the file states them. ``scale_m``: metres per unit, overrides the file's own.
     Raises ReorientError for a missing, truncated or unknown file, missing intrinsics, and whatever DepthImage refuses.
     """
     path = _existing(path, "depth image")
     if path.suffix.lower() not in SUFFIXES:
         raise ReorientError(f"depth image {str(path)!r}: expected one of {', '.join(SUFFIXES)}")
-    if scale_m is not None and not 0 < scale_m < np.inf:
-        raise ReorientError(f"depth scale {scale_m}: expected metres per unit, above 0")
+    if scale_m is not None:
+        _check_scale(scale_m)
     try:
         depth, stated = _read_arrays(path)
     except ReorientError:
@@ -67,19 +67,18 @@ def read_depth(path: str | Path, camera: Camera | None = None, scale_m: float | 
         scale_m = stated.get("scale_m")
     if depth.ndim != 2:
         raise ReorientError(f"depth image {str(path)!r} has shape {depth.shape}: expected one channel, (height, width)")
-    if np.issubdtype(depth.dtype, np.integer) and scale_m is not None:
+    if scale_m is not None:
         depth = depth * np.float64(scale_m)
-    elif scale_m is not None:
-        depth = depth * scale_m
     return DepthImage(depth, camera, stated.get("stamp_s"))
 
 
 def write_depth(path: str | Path, image: DepthImage, scale_m: float = SCALE_M) -> None:
     """Write .png (16-bit, rounded to ``scale_m``), .tif(f) (float32), .npy or .npz; all but .npy carry the camera.
 
-    Raises ReorientError for another suffix and for depth beyond 65535 units.
+    Raises ReorientError for another suffix, for a scale not above 0 and for depth beyond 65535 units.
     """
     path = Path(path)
+    _check_scale(scale_m)
     stated: dict[str, Any] = {"camera": _camera_data(image.camera)}
     if image.stamp_s is not None:
         stated["stamp_s"] = image.stamp_s
@@ -98,10 +97,12 @@ def write_depth(path: str | Path, image: DepthImage, scale_m: float = SCALE_M) -
             tags = TiffImagePlugin.ImageFileDirectory_v2()
             tags[_TIFF_DESCRIPTION] = json.dumps(stated)
             Image.fromarray(image.depth_m).save(temporary, tiffinfo=tags)
-        elif suffix == ".npz":
-            np.savez_compressed(temporary, depth_m=image.depth_m, stated=json.dumps(stated))
         else:
-            np.save(temporary, image.depth_m)
+            with temporary.open("wb") as file:  # given a name, numpy adds ".npz" to ".NPZ"
+                if suffix == ".npz":
+                    np.savez_compressed(file, depth_m=image.depth_m, stated=json.dumps(stated))
+                else:
+                    np.save(file, image.depth_m)
 
 
 def read_mask(path: str | Path) -> np.ndarray:
@@ -121,20 +122,35 @@ def _existing(path: str | Path, what: str) -> Path:
     return path
 
 
+def _check_scale(scale_m: float) -> None:
+    if not 0 < scale_m < np.inf:
+        raise ReorientError(f"depth scale {scale_m}: expected metres per unit, above 0")
+
+
 def _read_arrays(path: Path) -> tuple[np.ndarray, dict[str, Any]]:
     """The array as stored, and what the file states: camera, scale_m, stamp_s."""
     suffix = path.suffix.lower()
+    stated: Any = {}
     if suffix == ".npy":
-        return np.load(path), {}
-    if suffix == ".npz":
+        array = np.load(path)
+    elif suffix == ".npz":
         with np.load(path) as arrays:
             if "depth_m" not in arrays:
                 raise ReorientError(f"{str(path)!r} holds {', '.join(arrays)}: expected an array depth_m")
-            return arrays["depth_m"], json.loads(str(arrays["stated"])) if "stated" in arrays else {}
+            array = arrays["depth_m"]
+            stated = json.loads(str(arrays["stated"])) if "stated" in arrays else {}
+    else:
+        array, stated = _read_picture(path)
+    if not (isinstance(array, np.ndarray) and array.dtype.kind in "fiu" and isinstance(stated, dict)):
+        raise ReorientError(f"{str(path)!r} holds no depth: expected an array of numbers")
+    return array, stated
+
+
+def _read_picture(path: Path) -> tuple[np.ndarray, Any]:
     with Image.open(path) as picture:
         if picture.mode not in ("I;16", "I;16B", "I", "F"):
             raise ReorientError(f"{str(path)!r} is a {picture.mode} picture: expected 16-bit depth with one channel")
-        if suffix == ".png":
+        if path.suffix.lower() == ".png":
             stated = json.loads(picture.info.get("reorient", "{}"))
         else:
             description = picture.tag_v2.get(_TIFF_DESCRIPTION, "")  # type: ignore[attr-defined]
@@ -160,14 +176,16 @@ def _camera_from(data: Any, source: str) -> Camera:
             fx, _, _, _, fy, _, cx, cy, _ = (float(x) for x in np.ravel(data["intrinsic_matrix"]))
         elif "ppx" in data:  # RealSense
             if np.any(np.asarray(data.get("coeffs", 0.0), float) != 0):
-                raise ReorientError(f"camera in {source!r} has lens distortion {data['coeffs']}: expected a rectified image")
+                raise ReorientError(
+                    f"camera in {source!r} has lens distortion {data['coeffs']}: expected a rectified image"
+                )
             fx, fy, cx, cy = (float(data[name]) for name in ("fx", "fy", "ppx", "ppy"))
         else:
             fx, fy, cx, cy = (float(data[name]) for name in ("fx", "fy", "cx", "cy"))
             offset = 0.5 - float(data.get("pixel_centers_at", 0.5))
     except ReorientError:
         raise
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise ReorientError(
             f"missing intrinsics in {source!r} ({error}): expected width, height and fx, fy, cx, cy, or an Open3D "
             "intrinsic_matrix, or RealSense's ppx, ppy"

@@ -13,7 +13,7 @@ import subprocess
 import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -31,10 +31,7 @@ from reorient.rendering import Renderer, load_world
 from reorient.sensing import randomised
 from reorient.symmetry import SymmetryGroup, rotation_group, symmetric_error
 
-COLUMNS = (
-    "object pair world noise_mm low_deg high_deg estimator angle_deg error_deg error_sym_deg qw qx qy qz seconds "
-    "agreement fit in_front outside behind residual_mm converged iterations confidence message"
-).split()
+COLUMNS = ["object", "pair", "world", "noise_mm", "low_deg", "high_deg", "estimator", "angle_deg", "error_deg", "error_sym_deg", "qw", "qx", "qy", "qz", "seconds", "agreement", "fit", "in_front", "outside", "behind", "residual_mm", "converged", "iterations", "confidence", "message"]
 
 Row = dict[str, str]
 
@@ -75,7 +72,7 @@ class ObjectSource:
 class Evaluation:
     """What to measure."""
 
-    objects: ObjectSource
+    objects: ObjectSource = field(default_factory=ObjectSource)
     estimators: tuple[str, ...] = ("gicp", "icp")
     """Names of estimators."""
     world: str = "benchmark"
@@ -146,7 +143,9 @@ def read_config(path: Path) -> Evaluation:
 def regenerate(config: Evaluation, row: Row) -> tuple[Pair, Renderer]:
     """The images of a row again, from its seeds, and the renderer of its object."""
     renderer = Renderer(config.objects.open().load(row["object"]))
-    pair = _pair(config, renderer, int(row["pair"]), float(row["low_deg"]), float(row["high_deg"]), float(row["noise_mm"]))
+    pair = _pair(
+        config, renderer, int(row["pair"]), float(row["low_deg"]), float(row["high_deg"]), float(row["noise_mm"])
+    )
     return pair, renderer
 
 
@@ -158,10 +157,18 @@ def _measure_pair(task: tuple[Evaluation, str, int]) -> list[Row]:
     for low, high in config.ranges_deg:
         for noise_mm in config.noise_mm:
             pair = _pair(config, renderer, index, low, high, noise_mm)
-            cell = {"object": name, "pair": index, "world": config.world, "noise_mm": noise_mm, "low_deg": low, "high_deg": high}
+            cell = {
+                "object": name,
+                "pair": index,
+                "world": config.world,
+                "noise_mm": noise_mm,
+                "low_deg": low,
+                "high_deg": high,
+            }
             pivot_m = load_world(config.world).nominal_pivot_m if config.pivot else None
             for estimator in config.estimators:
-                rows.append(cell | {"estimator": estimator} | _measure(_estimator(estimator), pair, group, pivot_m))
+                measured = _measure(_estimator(estimator), pair, group, pivot_m)
+                rows.append(measured | cell | {"estimator": estimator})
     return [{column: str(row[column]) for column in COLUMNS} for row in rows]
 
 
@@ -191,13 +198,17 @@ def _measure(estimator: Estimator, pair: Pair, group: SymmetryGroup, pivot_m: np
         }
     seconds = time.perf_counter() - begin
     figures |= {f"q{part}": f"{x:.9f}" for part, x in zip("wxyz", so3.quat_from_matrix(R), strict=True)}
-    return dict.fromkeys(COLUMNS, "") | figures | {
-        "angle_deg": f"{np.degrees(so3.angle(pair.R_goal_current)):.4f}",
-        "error_deg": f"{np.degrees(so3.angle_difference(R, pair.R_goal_current)):.5f}",
-        "error_sym_deg": f"{np.degrees(symmetric_error(group, R, pair.R_goal_current, pair.R_camera_object)):.5f}",
-        "seconds": f"{seconds:.5f}",
-        "message": message,
-    }
+    return (
+        dict.fromkeys(COLUMNS, "")
+        | figures
+        | {
+            "angle_deg": f"{np.degrees(so3.angle(pair.R_goal_current)):.4f}",
+            "error_deg": f"{np.degrees(so3.angle_difference(R, pair.R_goal_current)):.5f}",
+            "error_sym_deg": f"{np.degrees(symmetric_error(group, R, pair.R_goal_current, pair.R_camera_object)):.5f}",
+            "seconds": f"{seconds:.5f}",
+            "message": message,
+        }
+    )
 
 
 @lru_cache(maxsize=8)
@@ -219,7 +230,9 @@ def _write_config(config: Evaluation, out: Path) -> None:
             raise ReorientError(f"{str(out)!r} holds a run of another config: expected the same, or a new folder")
         return
     with replacing(file) as temporary:
-        temporary.write_text(json.dumps({"config": asked, "version": __version__, "commit": _commit()}, indent=2) + "\n")
+        temporary.write_text(
+            json.dumps({"config": asked, "version": __version__, "commit": _commit()}, indent=2) + "\n"
+        )
 
 
 def _commit() -> str | None:

@@ -33,11 +33,18 @@ def load_mesh(path: str | Path) -> trimesh.Trimesh:
 
 
 def check_surface(mesh: object, name: str = "mesh") -> trimesh.Trimesh:
-    """The mesh itself if it is a surface. Raises ReorientError for no faces, bad indices, NaN or no area."""
+    """The mesh itself if it is a surface. Raises ReorientError for no faces, bad shapes or indices, NaN or no area."""
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise ReorientError(f"{name!r} has no faces: expected a triangle mesh, not points or curves")
+    if mesh.vertices.shape[1:] != (3,) or mesh.faces.shape[1:] != (3,):
+        raise ReorientError(
+            f"{name!r} has vertices of shape {mesh.vertices.shape} and faces of shape {mesh.faces.shape}: "
+            "expected (n, 3) and (m, 3)"
+        )
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
-        raise ReorientError(f"{name!r} has faces that name missing vertices: expected indices below {len(mesh.vertices)}")
+        raise ReorientError(
+            f"{name!r} has faces that name missing vertices: expected indices below {len(mesh.vertices)}"
+        )
     if not np.all(np.isfinite(mesh.vertices)):
         raise ReorientError(f"{name!r} has NaN or infinite vertices: expected finite coordinates")
     if not mesh.area > 1e-12 * mesh.scale**2:

@@ -1,7 +1,7 @@
 """Depth of a mesh in a pose, by ray casting (Embree): no GPU, no OpenGL, no display.
 
 One scene per object, built once; to pose the object the rays are turned instead. Directions have z = 1, so Embree's
-distance along a ray *is* the depth. Both sides of every triangle are seen. Worlds say how large the object is and where.
+distance along a ray *is* the depth. Both sides of a triangle are seen. Worlds say how large the object is and where.
 """
 
 from dataclasses import dataclass
@@ -139,17 +139,17 @@ class Renderer:
         self, camera: Camera, R_camera_object: Float[np.ndarray, "3 3"], placement: Placement
     ) -> tuple[tuple[slice, slice], np.ndarray, np.ndarray]:
         """The image window around the object, and for its pixels the rays in the mesh's frame and unit."""
-        corners = self._outline @ R_camera_object.T * placement.scale_m + placement.center_m
+        outline = self._outline @ R_camera_object.T * placement.scale_m + placement.center_m
         top, left, bottom, right = 0, 0, camera.height, camera.width
-        if corners[:, 2].min() > 0:
-            low, high = np.floor(camera.project(corners).min(axis=0)), np.ceil(camera.project(corners).max(axis=0))
-            left, top = (int(max(x, 0)) for x in low)
-            right, bottom = min(int(high[0]), camera.width), min(int(high[1]), camera.height)
-        window = slice(top, max(bottom, top)), slice(left, max(right, left))
-        x = (np.arange(left, window[1].stop) + 0.5 - camera.cx) / camera.fx
-        y = (np.arange(top, window[0].stop) + 0.5 - camera.cy) / camera.fy
-        # rows of R are the camera axes in the object's frame
-        columns, rows = x[:, None] * R_camera_object[0], y[:, None] * R_camera_object[1] + R_camera_object[2]
-        directions = (rows[:, None] + columns[None]).reshape(-1, 3).astype(np.float32)
+        if outline[:, 2].min() > 0:
+            pixels = camera.project(outline)
+            low = np.maximum(np.floor(pixels.min(axis=0)), 0).astype(int)
+            high = np.minimum(np.ceil(pixels.max(axis=0)), (right, bottom)).astype(int)
+            (left, top), (right, bottom) = low, np.maximum(high, low)
+        window = slice(top, bottom), slice(left, right)
+        R = R_camera_object.astype(np.float32)  # its rows are the camera axes in the object's frame
+        x = ((np.arange(left, right) + 0.5 - camera.cx) / camera.fx).astype(np.float32)
+        y = ((np.arange(top, bottom) + 0.5 - camera.cy) / camera.fy).astype(np.float32)
+        directions = ((y[:, None] * R[1] + R[2])[:, None] + (x[:, None] * R[0])[None]).reshape(-1, 3)
         origin = (-placement.center_m @ R_camera_object / placement.scale_m).astype(np.float32)
         return window, np.broadcast_to(origin, directions.shape).copy(), directions

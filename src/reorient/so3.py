@@ -7,7 +7,7 @@ in camera axes (paper, "Problem Formulation")::
     R_goal = R_goal_current @ R_current          R_goal_current = R_goal @ R_current.T
 
 Quaternions are unit vectors ``(q_r, q_i, q_j, q_k)`` (paper, "Background"), named ``quat_wxyz``; q and -q are the
-same rotation. Angles are radians. Every function takes leading batch dimensions.
+same rotation. Angles are radians. Batch dimensions lead, and broadcast.
 """
 
 import numpy as np
@@ -17,10 +17,10 @@ from scipy.spatial.transform import Rotation
 
 from reorient.errors import ReorientError
 
-Quaternions = Float[np.ndarray, "*batch 4"]
-Matrices = Float[np.ndarray, "*batch 3 3"]
-Vectors = Float[np.ndarray, "*batch 3"]
-Scalars = Float[np.ndarray, "*batch"]
+Quaternions = Float[np.ndarray, "*#batch 4"]
+Matrices = Float[np.ndarray, "*#batch 3 3"]
+Vectors = Float[np.ndarray, "*#batch 3"]
+Scalars = Float[np.ndarray, "*#batch"]
 
 
 # --- quaternions (paper, "Background") ------------------------------------------------------------------------------

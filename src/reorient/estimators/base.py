@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -43,6 +43,7 @@ class RotationEstimate:
         return float(so3.angle(self.R_goal_current))
 
 
+@runtime_checkable
 class Estimator(Protocol):
     """Anything with this method; see ``reorient.load_estimator`` for those in the package."""
 

@@ -24,8 +24,8 @@ STARTS = 8
 FINALISTS = 4
 LARGEST_PIVOT_SHIFT = 0.2  # of the object's size; a hypothesis that moves a known pivot farther is implausible
 # Neighbouring pixels share noise and small_gicp takes planes for a hundredth as uncertain as they are long: the factor
-# from the inverse Hessian to the observed scatter, fitted on generated objects with 1 mm noise.
-COVARIANCE_SCALE = 1.0
+# from the inverse Hessian to the scatter observed with 1 mm noise; without noise it is pessimistic.
+COVARIANCE_SCALE = 10.0
 
 _GRID = (lambda R: R[so3.angle(R) <= np.radians(80)])(so3.grid(3000))
 
@@ -60,9 +60,7 @@ class GICP:
         if hypotheses[0].evidence.agreement < CLEAR_AGREEMENT:
             hypotheses += [alignment.refine(T) for T in alignment.rivals(hypotheses[0])]
         best = max(hypotheses, key=alignment.plausibility)
-        return RotationEstimate(
-            best.T[:3, :3], best.T[:3, 3], best.evidence, covariance_rad2=best.covariance_rad2
-        )
+        return RotationEstimate(best.T[:3, :3], best.T[:3, 3], best.evidence, covariance_rad2=best.covariance_rad2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +125,12 @@ class _Alignment:
         R = so3.matrix_from_quat(so3.quat_from_matrix(T[:3, :3]))  # small_gicp's products drift from SO(3)
         T = np.block([[R, T[:3, 3:]], [np.zeros((1, 3)), np.ones((1, 1))]])
         evidence = weigh(
-            *self._views, R, T[:3, 3], FINE_TOLERANCE * self._size_m, fine.converged, coarse.iterations + fine.iterations
+            *self._views,
+            R,
+            T[:3, 3],
+            FINE_TOLERANCE * self._size_m,
+            fine.converged,
+            coarse.iterations + fine.iterations,
         )
         # small_gicp perturbs on the right, (rotation, translation): turn into the goal's camera axes
         spread = 2 * fine.error / max(fine.num_inliers - 6, 1)

@@ -25,5 +25,7 @@ def load_station(name: str) -> Station:
             f"cannot make station {name!r} ({type(error).__name__}: {error}): expected an importable class"
         ) from error
     if missing := [member for member in ("capture", "rotate", "pivot_m") if not hasattr(station, member)]:
-        raise ReorientError(f"station {name!r} has no {', '.join(missing)}: expected capture(), rotate(R_step), pivot_m")
+        raise ReorientError(
+            f"station {name!r} has no {', '.join(missing)}: expected capture(), rotate(R_step), pivot_m"
+        )
     return station

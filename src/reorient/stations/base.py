@@ -1,6 +1,6 @@
 """What a station is: a camera that sees the object and a gripper that turns it."""
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -8,6 +8,7 @@ from jaxtyping import Float
 from reorient.depth import DepthImage
 
 
+@runtime_checkable
 class Station(Protocol):
     """A robot cell, real or simulated. Failures are raised, as StationError or whatever the driver raises.
 

@@ -1,0 +1,195 @@
+"""The offline verbs: objects (make, list, check, montage), evaluate, report."""
+
+import csv
+import gzip
+import io
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from tyro.conf import Positional, subcommand
+
+from reorient.errors import ReorientError
+from reorient.evaluation import Evaluation, ObjectSource, evaluate
+from reorient.files import replacing
+
+
+def _progress(what: str, states: Iterable[tuple[int, int]]) -> None:
+    """Draw (done, all) states as a bar with the time left."""
+    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task(what, total=None)
+        for done, total in states:
+            bar.update(task, completed=done, total=total)
+
+
+@dataclass(frozen=True)
+class Make:
+    """Write meshes of a set to a folder, as .ply of unit radius.
+
+    For example: reorient objects make out/parts --count 50
+    """
+
+    out: Positional[Path]
+    """Folder to write to."""
+    objects: ObjectSource = field(default_factory=ObjectSource)
+
+    def run(self) -> None:
+        """One file an object; files already there are kept, so an interrupted run goes on."""
+        from reorient.meshes import scale_to_radius
+
+        objects = self.objects.open()
+        self.out.mkdir(parents=True, exist_ok=True)
+
+        def states() -> Iterable[tuple[int, int]]:
+            for done, name in enumerate(objects.names, 1):
+                path = self.out / f"{name.replace('/', '__')}.ply"
+                if not path.exists():
+                    with replacing(path) as temporary:
+                        scale_to_radius(objects.load(name), 1.0).export(temporary)
+                yield done, len(objects.names)
+
+        _progress("objects", states())
+        print(self.out)
+
+
+@dataclass(frozen=True)
+class List:
+    """Print the names of a set.
+
+    For example: reorient objects list --package example-robot-data
+    """
+
+    objects: ObjectSource = field(default_factory=ObjectSource)
+
+    def run(self) -> None:
+        """One name a line."""
+        print("\n".join(self.objects.open().names))
+
+
+@dataclass(frozen=True)
+class Check:
+    """Faces, genus, aspect, convexity and symmetry of every object of a set, and which are refused.
+
+    For example: reorient objects check --meshes my_meshes --out out/objects.csv.gz
+    or, 10,000 generated objects: reorient objects check --count 10000 --workers 2
+    """
+
+    objects: ObjectSource = field(default_factory=ObjectSource)
+    out: Path | None = None
+    """Write the rows here (.csv.gz)."""
+    workers: int = 1
+
+    def run(self) -> None:
+        """Measure, write, print percentiles."""
+        from reorient.statistics import describe, print_statistics
+
+        rows: list[dict[str, str]] = []
+
+        def states() -> Iterable[tuple[int, int]]:
+            for row, total in describe(self.objects, self.workers):
+                rows.append(row)
+                yield len(rows), total
+
+        _progress("objects", states())
+        if self.out is not None:
+            text = io.StringIO(newline="")
+            writer = csv.DictWriter(text, list(rows[0]))
+            writer.writeheader()
+            writer.writerows(rows)
+            with replacing(self.out) as temporary:
+                temporary.write_bytes(gzip.compress(text.getvalue().encode(), mtime=0))
+        print_statistics(rows, Console())
+
+
+@dataclass(frozen=True)
+class Montage:
+    """A picture of a set.
+
+    For example: reorient objects montage out/bin.png --count 100
+    """
+
+    out: Positional[Path]
+    """Picture to write (.png)."""
+    objects: ObjectSource = field(default_factory=ObjectSource)
+    columns: int = 10
+    size_px: int = 128
+    """Of each object."""
+
+    def run(self) -> None:
+        """Render and write."""
+        from reorient.pictures import montage, shade_mesh
+
+        if self.columns < 1 or self.size_px < 8:
+            raise ReorientError(f"{self.columns} columns of {self.size_px} px: expected at least 1 of 8 px")
+        objects = self.objects.open()
+        pictures = [shade_mesh(objects.load(name), None, self.size_px) for name in objects.names]
+        with replacing(self.out) as temporary:
+            montage(pictures, self.columns).save(temporary)
+        print(self.out)
+
+
+@dataclass(frozen=True)
+class Objects:
+    """Sets of objects: make, list, check, montage."""
+
+    verb: (
+        Annotated[Make, subcommand("make")]
+        | Annotated[List, subcommand("list")]
+        | Annotated[Check, subcommand("check")]
+        | Annotated[Montage, subcommand("montage")]
+    )
+
+    def run(self) -> None:
+        """Run the chosen verb."""
+        self.verb.run()
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Measure estimators: raw rows as CSV.gz, a table on screen. An interrupted run goes on where it stopped.
+
+    For example: reorient evaluate out/eval --count 100 --pairs 300
+    or, own meshes: reorient evaluate out/own --meshes my_meshes --estimators gicp --ranges-deg 0 30 30 60 --noise-mm 0 1
+    """
+
+    out: Positional[Path]
+    """Folder for config.json and rows.csv.gz."""
+    config: Evaluation = field(default_factory=Evaluation)
+    workers: int = 1
+    """Processes; with one, the times in the rows are honest."""
+
+    def run(self) -> None:
+        """Measure, then print the tables."""
+        from reorient.reporting import print_tables, read_rows
+
+        _progress("pairs", evaluate(self.config, self.out, self.workers))
+        print_tables(read_rows(self.out), Console())
+        print(self.out / "rows.csv.gz")
+
+
+@dataclass(frozen=True)
+class Report:
+    """One self-contained HTML page of an evaluation: error against angle, histograms, best and worst pairs.
+
+    For example: reorient report out/eval
+    """
+
+    folder: Positional[Path]
+    """What ``reorient evaluate`` wrote."""
+
+    def run(self) -> None:
+        """Write report.html beside the rows."""
+        from reorient.reporting import write_report
+
+        print(write_report(self.folder))

@@ -1,0 +1,100 @@
+"""A closed loop as an animation and as one page."""
+
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+
+import numpy as np
+
+from reorient import so3
+from reorient.controller import OrientResult, Step
+from reorient.depth import DepthImage
+from reorient.errors import ReorientError
+from reorient.estimators.evidence import Evidence
+from reorient.files import replacing
+from reorient.pictures import depth_range, framed, montage, png_data_uri, shade, write_gif
+from reorient.reporting.figures import growing_curve, loop_curve
+from reorient.reporting.page import inline_image, page
+
+_PANEL_PX, _STILL_PX = 256, 352
+_FRAME_MS, _LAST_FRAME_MS = 160, 2500
+
+
+def write_loop(
+    folder: str | Path, goal: DepthImage, result: OrientResult, errors_deg: Sequence[float], title: str
+) -> tuple[Path, Path]:
+    """Write ``loop.gif`` (goal, current image, remaining angle) and ``loop.html`` into a folder; returns both paths.
+
+    ``errors_deg``: the true remaining angle at each step's image, then, if there was a last move, after it; empty where
+    the truth is unknown. Raises ReorientError for a loop without a step and for another number of errors.
+    """
+    steps = result.steps
+    if not steps:
+        raise ReorientError(f"a loop without a step ({result.reason}): expected at least one image to show")
+    if len(errors_deg) not in (0, len(steps), len(steps) + 1):
+        raise ReorientError(f"{len(errors_deg)} errors for {len(steps)} steps: expected one for each image, or none")
+    predicted_deg = [float(np.degrees(step.estimate.angle_rad)) for step in steps]
+    images = framed([goal, *(step.image for step in steps)])
+    range_m = depth_range(images)
+    goal_picture, *pictures = (shade(image, _PANEL_PX, range_m) for image in images)
+    curves = growing_curve(predicted_deg, errors_deg, _PANEL_PX)
+    gif = Path(folder) / "loop.gif"
+    frames = [
+        montage([goal_picture, picture, curve], 3, ["goal", "current", f"after {index} moves" if index else "start"])
+        for index, (picture, curve) in enumerate(zip(pictures, curves, strict=True))
+    ]
+    write_gif(gif, frames, _FRAME_MS, _LAST_FRAME_MS)
+
+    stills = [shade(images[index], _STILL_PX, range_m) for index in (1, 0, -1)]
+    triptych = montage(stills, 3, ["start", "goal", "last image"])
+    sections = {
+        "Start, goal, last image": inline_image(png_data_uri(triptych), "start, goal and last image", dark=True),
+        "Remaining angle": inline_image(loop_curve(predicted_deg, errors_deg), "remaining angle after each move"),
+        "Steps": _table(steps, errors_deg),
+    }
+    html = Path(folder) / "loop.html"
+    with replacing(html) as temporary:
+        temporary.write_text(page(title, outcome(result, errors_deg), sections), encoding="utf-8")
+    return gif, html
+
+
+def outcome(result: OrientResult, errors_deg: Sequence[float]) -> str:
+    """How the loop ended, in a sentence or two."""
+    moves = f"{result.moves} move" + "s" * (result.moves != 1)
+    said = f"{'Converged' if result.converged else 'Ended without converging'} after {moves}: {result.reason}."
+    if errors_deg:
+        said += f" The true remaining angle went from {errors_deg[0]:.2f} to {errors_deg[-1]:.2f} degrees."
+    return said
+
+
+def evidence_in_words(evidence: Evidence) -> str:
+    """What the two images say about an estimate."""
+    against = evidence.in_front + evidence.outside
+    said = f"{evidence.fit:.0%} fits"
+    if np.isfinite(evidence.residual_m):
+        said += f" (rms {1000 * evidence.residual_m:.1f} mm)"
+    said += f", {against:.0%} contradicts, {evidence.behind:.0%} hidden"
+    return said if evidence.converged else said + "; registration not converged"
+
+
+def _table(steps: Sequence[Step], errors_deg: Sequence[float]) -> str:
+    heads = ["image", "predicted", *(["true"] if errors_deg else []), "asked to turn", "turned"]
+    lines = []
+    for step in steps:
+        angles_deg = [float(np.degrees(step.estimate.angle_rad))]
+        if errors_deg:
+            angles_deg.append(errors_deg[step.index])
+        cells = [
+            str(step.index),
+            *(f"{angle:.2f}°" for angle in angles_deg),
+            _turn(step.R_step),
+            _turn(step.R_executed),
+        ]
+        numbers = "".join(f"<td>{cell}</td>" for cell in cells)
+        lines.append(f'<tr>{numbers}<td class="word">{escape(evidence_in_words(step.estimate.evidence))}</td></tr>')
+    head = "".join(f"<th>{heading}</th>" for heading in heads) + '<th class="word">evidence</th>'
+    return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{"".join(lines)}</tbody></table></div>'
+
+
+def _turn(R: np.ndarray | None) -> str:
+    return "–" if R is None else f"{np.degrees(so3.angle(R)):.2f}°"

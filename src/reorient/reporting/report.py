@@ -1,0 +1,95 @@
+"""An evaluation as one page: table, figures, the best and the worst pairs, and how it was run."""
+
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+
+import numpy as np
+
+from reorient import so3
+from reorient.depth import DepthImage
+from reorient.errors import ReorientError
+from reorient.evaluation import Evaluation, Row, read_config, regenerate
+from reorient.files import replacing
+from reorient.pictures import depth_range, framed, montage, png_data_uri, shade
+from reorient.reporting import figures
+from reorient.reporting.page import inline_image, page
+from reorient.reporting.rows import estimators, numbers, read_rows
+from reorient.reporting.tables import html_table
+
+_MAIN = 3  # estimators whose pairs are shown
+_SHOWN = 4  # pairs at each end
+_PANEL_PX = 240
+_BY_ANGLE = "Plain error in bins of the start angle; bins of fewer than five pairs are left out."
+_CUMULATIVE = (
+    "The line at 5° marks the share that the table gives. Where dashes leave the line, symmetry is the reason."
+)
+
+
+def write_report(folder: str | Path) -> Path:
+    """Write ``report.html`` into the folder of an evaluation, with all images inside it; returns its path.
+
+    Raises ReorientError for a folder without a finished evaluation.
+    """
+    folder = Path(folder)
+    rows, config = read_rows(folder), read_config(folder)
+    objects = len({row["object"] for row in rows})
+    by_angle, cumulative = figures.error_by_angle(rows), figures.cumulative_errors(rows)
+    sections = {
+        "Results": html_table(rows),
+        "Error against angle": inline_image(by_angle, "error against the start angle", _BY_ANGLE),
+        "Cumulative errors": inline_image(cumulative, "share of pairs below an error", _CUMULATIVE),
+        "Best and worst pairs": _pairs(rows, config),
+        "How it was run": f"<pre>{escape((folder / 'config.json').read_text())}</pre>",
+    }
+    lead = (
+        f"{len(rows):,} estimates of the rotation between two depth images: {len(estimators(rows))} estimators, "
+        f"{objects:,} objects."
+    )
+    path = folder / "report.html"
+    with replacing(path) as temporary:
+        temporary.write_text(page("Evaluation of rotation estimators", lead, sections), encoding="utf-8")
+    return path
+
+
+def _pairs(rows: Sequence[Row], config: Evaluation) -> str:
+    """Cards of the pairs with the smallest and the largest symmetry-aware error, for the best few estimators."""
+    errors_deg = numbers(rows, "error_sym_deg")
+    names = np.array([row["estimator"] for row in rows])
+    ranked = sorted(estimators(rows), key=lambda name: -np.mean(errors_deg[names == name] < 5))
+    parts = []
+    for name in ranked[:_MAIN]:
+        mine = np.nonzero(names == name)[0]
+        order = mine[np.argsort(errors_deg[mine], kind="stable")]
+        for title, indices in (("worst", order[::-1]), ("best", order)):
+            by_object: dict[str, Row] = {}  # one pair of an object, lest one fill the row
+            for index in indices:
+                by_object.setdefault(rows[index]["object"], rows[index])
+            cards = [_card(row, config) for row in list(by_object.values())[:_SHOWN]]
+            parts.append(f'<h3>{escape(name)}: {title}</h3><div class="cards">{"".join(cards)}</div>')
+    return (
+        "<p class=note>By symmetry-aware error, one pair of an object. The third panel is the object in its start "
+        "orientation turned by the estimate, rendered exactly from the mesh: it should look like the goal.</p>"
+        + "".join(parts)
+    )
+
+
+def _card(row: Row, config: Evaluation) -> str:
+    caption = (
+        f"<b>error {float(row['error_deg']):.2f}°</b> ({float(row['error_sym_deg']):.2f}° symmetry-aware) at "
+        f"{float(row['angle_deg']):.1f}°, noise {float(row['noise_mm']):g} mm<br>"
+        f"{escape(row['object'])}, pair {escape(row['pair'])}"
+    )
+    if row["message"]:
+        caption += f"<br>refused: {escape(row['message'])}"
+    try:
+        pair, renderer = regenerate(config, row)
+    except ReorientError as error:  # the meshes of an old run may be gone; its figures still stand
+        return f"<figure><figcaption>{caption}<br>no picture: {escape(str(error))}</figcaption></figure>"
+    R_est = so3.matrix_from_quat(so3.normalize(np.array([float(row[name]) for name in ("qw", "qx", "qy", "qz")])))
+    camera = pair.goal.camera
+    turned = DepthImage(renderer.depth(camera, R_est @ pair.R_camera_object, pair.placement), camera)
+    images = framed([pair.current, pair.goal, turned])
+    panels = [shade(image, _PANEL_PX, depth_range(images)) for image in images]
+    picture = montage(panels, 3, ["start", "goal", "start turned"])
+    return inline_image(png_data_uri(picture), f"start, goal and estimate of {row['object']}", caption, dark=True)

@@ -1,0 +1,130 @@
+"""The raw rows of an evaluation, and what they amount to: always from the rows, never averages of averages."""
+
+import csv
+import gzip
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from reorient.errors import ReorientError
+from reorient.evaluation import COLUMNS, Row
+
+Z95 = 1.959964  # 97.5% point of the normal distribution
+
+
+@dataclass(frozen=True)
+class Summary:
+    """The errors of one estimator in one cell (noise, range of the start angle). Angles in degrees."""
+
+    estimator: str
+    noise_mm: float
+    low_deg: float
+    high_deg: float
+    n: int
+    """Pairs; one that the estimator refused counts as answered "no rotation"."""
+    mean_deg: float
+    median_deg: float
+    rms_deg: float
+    p90_deg: float
+    """90% of the errors are at most this (linear between neighbours)."""
+    within1: float
+    """Share of errors below 1 degree."""
+    within5: float
+    """Share of errors below 5 degrees."""
+    within5_interval: tuple[float, float]
+    """Wilson's 95% interval of that share."""
+    seconds: float
+    """Median time of an estimate."""
+
+
+def read_rows(folder: str | Path) -> list[Row]:
+    """The rows of ``rows.csv.gz``. Raises ReorientError where it is missing, broken, empty or lacks columns."""
+    file = Path(folder) / "rows.csv.gz"
+    if not file.is_file():
+        raise ReorientError(f"no {str(file)!r}: expected the config.json and rows.csv.gz of an evaluation")
+    try:
+        with gzip.open(file, "rt", newline="") as text:
+            reader = csv.DictReader(text)
+            rows = list(reader)
+    except (OSError, EOFError, zlib.error, UnicodeDecodeError, csv.Error) as error:
+        raise ReorientError(f"cannot read {str(file)!r} ({error}): expected a complete gzip of a CSV table") from error
+    if missing := [column for column in COLUMNS if column not in (reader.fieldnames or ())]:
+        raise ReorientError(f"{str(file)!r} has no column {', '.join(missing)}: expected {', '.join(COLUMNS)}")
+    if not rows:
+        raise ReorientError(f"{str(file)!r} has no rows: expected one for each estimator and pair")
+    for line, row in enumerate(rows, start=2):
+        if None in row or None in row.values():
+            raise ReorientError(
+                f"line {line} of {str(file)!r}: expected {len(reader.fieldnames or ())} cells, one for each column"
+            )
+    return rows
+
+
+def numbers(rows: Sequence[Row], column: str) -> Float[np.ndarray, " n"]:
+    """One column as numbers. Raises ReorientError, naming the row, for a cell that holds no finite one."""
+    values = np.empty(len(rows))
+    for index, row in enumerate(rows):
+        try:
+            values[index] = float(row[column])
+        except (KeyError, ValueError):
+            values[index] = np.nan
+        if not np.isfinite(values[index]):
+            raise ReorientError(
+                f"{column} of object {row.get('object')!r}, pair {row.get('pair')} is {row.get(column)!r}: "
+                "expected a finite number"
+            )
+    return values
+
+
+def estimators(rows: Sequence[Row]) -> list[str]:
+    """The estimators by name, in the order in which the rows bring them."""
+    return list(dict.fromkeys(row["estimator"] for row in rows))
+
+
+def summarise(rows: Sequence[Row], error: str = "error_deg") -> list[Summary]:
+    """One summary for each cell and estimator, sorted by noise, range and first appearance of the estimator.
+
+    ``error``: which column to sum up, ``error_deg`` or the symmetry-aware ``error_sym_deg``.
+    """
+    errors_deg, seconds = numbers(rows, error), numbers(rows, "seconds")
+    noise_mm, low_deg, high_deg = (numbers(rows, column) for column in ("noise_mm", "low_deg", "high_deg"))
+    order = {name: index for index, name in enumerate(estimators(rows))}
+    cells: dict[tuple[float, float, float, int], list[int]] = {}
+    for index, row in enumerate(rows):
+        key = (noise_mm[index], low_deg[index], high_deg[index], order[row["estimator"]])
+        cells.setdefault(key, []).append(index)
+    names = list(order)
+    return [
+        _summary(names[which], (float(noise), float(low), float(high)), errors_deg[members], seconds[members])
+        for (noise, low, high, which), members in sorted(cells.items())
+    ]
+
+
+def wilson(hits: int, n: int) -> tuple[float, float]:
+    """Wilson's 95% interval of the share that ``hits`` of ``n`` trials estimate."""
+    share = hits / n
+    middle = (share + Z95**2 / (2 * n)) / (1 + Z95**2 / n)
+    half = Z95 / (1 + Z95**2 / n) * float(np.sqrt(share * (1 - share) / n + Z95**2 / (4 * n**2)))
+    return max(middle - half, 0.0), min(middle + half, 1.0)
+
+
+def _summary(estimator: str, cell: tuple[float, float, float], errors_deg: np.ndarray, seconds: np.ndarray) -> Summary:
+    n = len(errors_deg)
+    below5 = int(np.sum(errors_deg < 5))
+    return Summary(
+        estimator,
+        *cell,
+        n=n,
+        mean_deg=float(np.mean(errors_deg)),
+        median_deg=float(np.median(errors_deg)),
+        rms_deg=float(np.sqrt(np.mean(errors_deg**2))),
+        p90_deg=float(np.percentile(errors_deg, 90)),
+        within1=float(np.mean(errors_deg < 1)),
+        within5=below5 / n,
+        within5_interval=wilson(below5, n),
+        seconds=float(np.median(seconds)),
+    )

@@ -1,0 +1,97 @@
+"""The same table thrice: on the screen, in Markdown, in HTML."""
+
+from collections.abc import Iterator, Sequence
+from html import escape
+from itertools import groupby
+
+from rich.console import Console
+from rich.table import Table
+
+from reorient.evaluation import Row
+from reorient.reporting.rows import Summary, estimators, summarise
+
+_BELOW5 = "< 5° (95% interval)"
+HEADINGS = (
+    *("noise", "range", "estimator", "pairs", "median°", "mean°", "rms°", "p90°"),
+    *("< 1°", _BELOW5, "< 5° sym.", "ms"),
+)
+_WORDS = 3  # the first columns, set to the left
+_BAR = HEADINGS.index(_BELOW5)
+
+
+def print_tables(rows: Sequence[Row], console: Console) -> None:
+    """One table for each noise level, at most 120 columns wide."""
+    for noise, group in groupby(_lines(rows), key=lambda line: line[1][0]):
+        table = Table(title=f"depth noise {noise}, {_worlds(rows)}", title_justify="left", header_style="bold")
+        for index, heading in enumerate(HEADINGS[1:], start=1):
+            table.add_column(heading, justify="left" if index < _WORDS else "right", no_wrap=True)
+        previous = None
+        for _, cells in group:
+            if previous not in (None, cells[1]):
+                table.add_section()
+            table.add_row(*cells[1:])
+            previous = cells[1]
+        console.print(table)
+    console.print(notes(rows), highlight=False)
+
+
+def markdown_table(rows: Sequence[Row]) -> str:
+    """The table and its notes for RESULTS.md."""
+    marks = ["---" if index < _WORDS else "---:" for index in range(len(HEADINGS))]
+    lines = [HEADINGS, marks, *([cell.replace("|", "\\|") for cell in cells] for _, cells in _lines(rows))]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + f"\n\n{notes(rows)}\n"
+
+
+def html_table(rows: Sequence[Row]) -> str:
+    """The table and its notes as HTML, a bar behind each share below 5 degrees."""
+    head = "".join(f"<th{_side(index)}>{escape(heading)}</th>" for index, heading in enumerate(HEADINGS))
+    body = []
+    previous: list[str] = []
+    for summary, cells in _lines(rows):
+        columns = [f"<td{_side(index)}>{escape(cell)}</td>" for index, cell in enumerate(cells)]
+        columns[_BAR] = f'<td class="bar" style="--share:{100 * summary.within5:.1f}%">{escape(cells[_BAR])}</td>'
+        begins = ' class="begins"' if cells[:2] != previous else ""
+        body.append(f"<tr{begins}>{''.join(columns)}</tr>")
+        previous = cells[:2]
+    return (
+        f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{"".join(body)}</tbody></table></div>'
+        f'<p class="note">{escape(notes(rows))}</p>'
+    )
+
+
+def notes(rows: Sequence[Row]) -> str:
+    """What the reader of the table must know, in one paragraph."""
+    refused = {name: sum(bool(row["message"]) for row in rows if row["estimator"] == name) for name in estimators(rows)}
+    said = ", ".join(f"{name} {count}" for name, count in refused.items() if count)
+    return (
+        f"Errors in degrees over all pairs of the cell, {_worlds(rows)}; sym.: symmetry-aware; ms: median time of one "
+        'estimate; the interval is Wilson\'s. A refused pair counts as answered "no rotation"'
+        + (f" (refused: {said})." if said else "; none was refused.")
+    )
+
+
+def _lines(rows: Sequence[Row]) -> Iterator[tuple[Summary, list[str]]]:
+    for plain, aware in zip(summarise(rows), summarise(rows, "error_sym_deg"), strict=True):
+        low, high = (f"{share:.0%}"[:-1] for share in plain.within5_interval)
+        yield (
+            plain,
+            [
+                f"{plain.noise_mm:g} mm",
+                f"{plain.low_deg:g}–{plain.high_deg:g}°",
+                plain.estimator,
+                str(plain.n),
+                *(f"{x:.2f}" for x in (plain.median_deg, plain.mean_deg, plain.rms_deg, plain.p90_deg)),
+                f"{plain.within1:.1%}",
+                f"{plain.within5:.1%} ({low}–{high})",
+                f"{aware.within5:.1%}",
+                f"{1000 * plain.seconds:.0f}",
+            ],
+        )
+
+
+def _worlds(rows: Sequence[Row]) -> str:
+    return "world " + ", ".join(sorted({row["world"] for row in rows}))
+
+
+def _side(index: int) -> str:
+    return ' class="word"' if index < _WORDS else ""

@@ -1,0 +1,203 @@
+"""Every verb end to end on tiny data; every bad input one line and exit code 2."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from reorient import so3
+from reorient.cli import main
+from reorient.depth import DepthImage
+from reorient.depth_files import read_depth, write_camera, write_depth
+from reorient.pairs import sample_pair
+from reorient.rendering import Renderer, load_world
+from reorient.sensing import randomised
+
+WORLD = load_world("benchmark")
+
+
+def refused(capsys, *arguments) -> str:
+    """The one line that a refused command says."""
+    with pytest.raises(SystemExit) as ended:
+        main([str(a) for a in arguments])
+    assert ended.value.code == 2
+    said = capsys.readouterr().err.strip()
+    assert said.startswith("reorient: ")
+    assert "\n" not in said
+    return said
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory):
+    """(folder with now.npz, goal.npz and raw.png of a whole scene, the truth)."""
+    import trimesh
+
+    folder = tmp_path_factory.mktemp("pair")
+    arms = [trimesh.creation.box(bounds=[(-0.2, -0.2, -0.2), end]) for end in ((1, 0.2, 0.2), (0.2, 0.7, 0.2))]
+    turn = np.radians(20)
+    pair = sample_pair(
+        np.random.default_rng(0), Renderer(trimesh.util.concatenate(arms)), WORLD, randomised(), turn, turn
+    )
+    write_depth(folder / "now.npz", pair.current)
+    write_depth(folder / "goal.npz", pair.goal)
+    scene = np.where(pair.current.valid, pair.current.depth_m, 0.9)
+    Image.fromarray(np.rint(scene * 1000).astype(np.uint16)).save(folder / "raw.png")
+    Image.fromarray(pair.current.valid).convert("L").save(folder / "mask.png")
+    write_camera(folder / "camera.json", WORLD.camera)
+    return folder, pair
+
+
+def test_estimate(pair, capsys):
+    folder, truth = pair
+    main(["estimate", str(folder / "now.npz"), str(folder / "goal.npz"), "--json", "--pivot", "0", "0", "0.6"])
+    said = json.loads(capsys.readouterr().out)
+    R = np.array(said["R_goal_current"])
+    assert np.degrees(so3.angle_difference(R, truth.R_goal_current)) < 0.5
+    np.testing.assert_allclose(so3.matrix_from_quat(np.array(said["quat_wxyz"])), R, atol=1e-9)
+    assert said["angle_deg"] == pytest.approx(20, abs=0.5)
+    assert said["confidence"] is None
+    assert said["evidence"]["fit"] > 0.5
+    main(["estimate", str(folder / "now.npz"), str(folder / "goal.npz"), "--estimator", "icp"])
+    words = capsys.readouterr().out
+    assert all(word in words for word in ("degrees about [", "wxyz", "matrix", "evidence", "not calibrated"))
+
+
+def test_estimate_from_raw_frames_isolated_separately(pair, capsys):
+    folder, truth = pair
+    common = [
+        "estimate",
+        str(folder / "raw.png"),
+        str(folder / "goal.npz"),
+        "--camera",
+        str(folder / "camera.json"),
+        "--json",
+    ]
+    ways = (["--far", "0.85"], ["--mask", str(folder / "mask.png"), "-"], ["--far", "0.85", "2", "--near", "0.3"])
+    for way in ways:
+        main(common + way)
+        R = np.array(json.loads(capsys.readouterr().out)["R_goal_current"])
+        assert np.degrees(so3.angle_difference(R, truth.R_goal_current)) < 1
+    assert "isolate the object: returns fill 100% of the image" in refused(capsys, *common)
+    assert "--far with 3 values: expected one for both images, or two" in refused(capsys, *common, "--far", 1, 2, 3)
+    assert "--box with 3 numbers" in refused(capsys, *common, "--box", 1, 2, 3)
+
+
+def test_bad_images(pair, capsys, tmp_path, unchecked):
+    folder, truth = pair
+    good = folder / "goal.npz"
+    camera = WORLD.camera
+    depth_m = truth.current.depth_m
+
+    def said(name, array, *more):
+        np.save(tmp_path / name, array)
+        return refused(capsys, "estimate", tmp_path / name, good, "--camera", folder / "camera.json", *more)
+
+    assert "looks like millimetres" in said("mm.npy", depth_m * 1000)
+    assert "NaN or infinite pixels: expected 0" in said("nan.npy", np.where(depth_m > 0, depth_m, np.nan))
+    assert "expected no negative value" in said("negative.npy", depth_m - 0.3)
+    assert "0 everywhere" in said("zero.npy", 0 * depth_m)
+    assert "dtype uint16: expected floating-point metres" in said("dtype.npy", (depth_m * 1000).astype(np.uint16))
+    assert "expected (height, width) = (128, 128)" in said("size.npy", depth_m[:100])
+    assert "one channel" in said("channels.npy", np.stack([depth_m] * 3, axis=-1))
+    np.save(tmp_path / "fine.npy", depth_m)
+    assert "missing intrinsics" in refused(capsys, "estimate", tmp_path / "fine.npy", good)
+    (tmp_path / "half.npz").write_bytes(good.read_bytes()[:500])
+    assert "expected a complete file" in refused(capsys, "estimate", tmp_path / "half.npz", good)
+    (tmp_path / "camera.json").write_text("{")
+    assert "is not JSON" in refused(
+        capsys, "estimate", tmp_path / "fine.npy", good, "--camera", tmp_path / "camera.json"
+    )
+    Image.fromarray(np.zeros((128, 128), np.uint8)).save(tmp_path / "black.png")
+    assert "mask is empty" in said("fine.npy", depth_m, "--mask", tmp_path / "black.png")
+    assert "expected an existing file" in refused(capsys, "estimate", tmp_path / "none.npz", good)
+    assert "did you mean 'gicp'" in refused(capsys, "estimate", good, good, "--estimator", "gipc")
+    write_depth(tmp_path / "dot.npz", DepthImage(np.pad([[0.6]], ((0, 127), (0, 127))), camera))
+    assert "has 1 returns: expected at least" in refused(capsys, "estimate", tmp_path / "dot.npz", good)
+
+
+def test_capture_and_orient(capsys, tmp_path):
+    goal = tmp_path / "goal.png"
+    main(["capture", str(goal)])
+    assert read_depth(goal).camera == WORLD.camera
+    capsys.readouterr()
+    main(["orient", str(goal), "--turn-deg", "12", "--eta", "0.5", "--out", str(tmp_path / "run")])
+    said = capsys.readouterr().out
+    assert "Done after" in said
+    assert (tmp_path / "run" / "loop.gif").is_file()
+    assert "not converged after 1 moves: limit of 1 images" in refused(
+        capsys, "orient", goal, "--turn-deg", 12, "--max-steps", 1
+    )
+    assert "expected K >= 1, 0 < eta <= 1" in refused(capsys, "orient", goal, "--eta", 0)
+
+
+def test_a_failed_capture_leaves_the_old_goal(capsys, tmp_path, monkeypatch):
+    (tmp_path / "broken_cell.py").write_text(
+        "class Cell:\n    pivot_m = None\n    def capture(self):\n        raise OSError('no camera')\n"
+        "    def rotate(self, R_step):\n        return R_step\n"
+        "class Half:\n    pivot_m = None\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    goal = tmp_path / "goal.npz"
+    goal.write_bytes(b"old")
+    assert "failed to capture (OSError: no camera)" in refused(capsys, "capture", goal, "--station", "broken_cell:Cell")
+    assert goal.read_bytes() == b"old"
+    assert list(tmp_path.glob(".*goal*")) == []
+    assert "has no capture, rotate" in refused(capsys, "capture", goal, "--station", "broken_cell:Half")
+    assert "cannot make station" in refused(capsys, "capture", goal, "--station", "nowhere:Cell")
+    assert "expected 'rendered' or my_module:MyStation" in refused(capsys, "capture", goal, "--station", "rendred")
+    assert "expected an existing folder" in refused(capsys, "capture", tmp_path / "none" / "goal.npz")
+
+
+def test_demo(capsys, tmp_path):
+    main(["demo", "--out", str(tmp_path / "demo"), "--start-deg", "15"])
+    said = capsys.readouterr().out.strip().splitlines()
+    assert "in truth" in said[1]
+    assert "Done after" in said[-3]
+    for path in map(Path, said[-2:]):
+        assert path.is_file()
+        assert path.suffix in (".gif", ".html")
+
+
+def test_objects(capsys, tmp_path):
+    main(["objects", "list", "--count", "3"])
+    assert capsys.readouterr().out.split() == [f"generated-0-00000{i}" for i in range(3)]
+    main(["objects", "make", str(tmp_path / "parts"), "--count", "3"])
+    assert len(list((tmp_path / "parts").glob("*.ply"))) == 3
+    (tmp_path / "parts" / "broken.stl").write_text("solid nothing")
+    capsys.readouterr()
+    main(["objects", "check", "--meshes", str(tmp_path / "parts"), "--out", str(tmp_path / "check.csv.gz")])
+    said = capsys.readouterr().out
+    assert "symmetric (residual below 0.05)" in said
+    assert "refused: " in said
+    assert (tmp_path / "check.csv.gz").is_file()
+    main(["objects", "montage", str(tmp_path / "bin.png"), "--count", "4", "--columns", "2", "--size-px", "64"])
+    assert Image.open(tmp_path / "bin.png").width > 128
+    assert "no folder" in refused(capsys, "objects", "list", "--meshes", tmp_path / "none")
+
+
+def test_evaluate_and_report(capsys, tmp_path):
+    out = tmp_path / "run"
+    main(["evaluate", str(out), "--count", "2", "--pairs", "2", "--ranges-deg", "0", "30", "--noise-mm", "0"])
+    said = capsys.readouterr().out
+    assert "gicp" in said
+    assert str(out / "rows.csv.gz") in said.replace("\n", "")
+    main(["report", str(out)])
+    page = Path(capsys.readouterr().out.strip())
+    assert page.is_file()
+    assert "expected config.json" in refused(capsys, "report", tmp_path)
+
+
+def test_help_and_light_imports():
+    """The robot's verbs start without torch, mujoco or open3d; help shows an example."""
+    code = (
+        "import sys; from reorient.cli import main\n"
+        "try: main(['estimate', '--help'])\n"
+        "except SystemExit: pass\n"
+        "assert not {'torch', 'mujoco', 'open3d'} & set(sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "For example: reorient estimate" in done.stdout

@@ -1,0 +1,118 @@
+"""Evaluations: rows that can be trusted, made again, and resumed."""
+
+import csv
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from reorient import so3
+from reorient.errors import ReorientError
+from reorient.evaluation import COLUMNS, Evaluation, ObjectSource, evaluate, read_config, regenerate
+
+TINY = Evaluation(ObjectSource(count=2), ("gicp", "icp"), ranges_deg=((0, 30), (30, 60)), noise_mm=(0.0, 1.0), pairs=3)
+
+
+def run(config, out, workers=1):
+    return list(evaluate(config, out, workers))
+
+
+def rows_of(out: Path):
+    with gzip.open(out / "rows.csv.gz", "rt", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def without_times(rows):
+    return [{k: v for k, v in row.items() if k != "seconds"} for row in rows]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    out = tmp_path_factory.mktemp("evaluation") / "run"
+    states = run(TINY, out)
+    assert states[0] == (0, 3)
+    assert states[-1] == (3, 3)
+    return out
+
+
+def test_one_row_each(finished):
+    rows = rows_of(finished)
+    assert len(rows) == 3 * 2 * 2 * 2
+    assert list(rows[0]) == list(COLUMNS)
+    cells = {(r["pair"], r["low_deg"], r["noise_mm"], r["estimator"]) for r in rows}
+    assert len(cells) == len(rows)
+    for row in rows:
+        assert float(row["low_deg"]) <= float(row["angle_deg"]) <= float(row["high_deg"])
+        assert float(row["error_sym_deg"]) <= float(row["error_deg"]) + 1e-3
+    near = [float(r["error_deg"]) for r in rows if r["estimator"] == "gicp" and r["low_deg"] == "0"]
+    assert np.median(near) < 1
+
+
+def test_estimators_meet_the_same_pairs(finished):
+    by_cell: dict = {}
+    for row in rows_of(finished):
+        by_cell.setdefault((row["pair"], row["low_deg"], row["noise_mm"]), set()).add(row["angle_deg"])
+    assert all(len(angles) == 1 for angles in by_cell.values())
+
+
+def test_rows_can_be_made_again(finished):
+    config = read_config(finished)
+    assert config == TINY
+    for row in rows_of(finished)[::7]:
+        pair, renderer = regenerate(config, row)
+        assert np.degrees(so3.angle(pair.R_goal_current)) == pytest.approx(float(row["angle_deg"]), abs=1e-3)
+        R = so3.matrix_from_quat(np.array([float(row[f"q{x}"]) for x in "wxyz"]))
+        error = np.degrees(so3.angle_difference(R, pair.R_goal_current))
+        assert error == pytest.approx(float(row["error_deg"]), abs=1e-3)
+        assert len(renderer.mesh.faces) > 0
+
+
+def test_workers_do_not_change_the_rows(finished, tmp_path):
+    run(TINY, tmp_path / "two", workers=2)
+    assert without_times(rows_of(tmp_path / "two")) == without_times(rows_of(finished))
+
+
+def test_goes_on_after_being_killed_in_the_middle_of_a_row(finished, tmp_path):
+    out = tmp_path / "killed"
+    states = evaluate(TINY, out)
+    for done, _ in states:
+        if done == 1:
+            break
+    states.close()
+    with (out / "rows.partial.csv").open("a") as file:
+        file.write("generated-0-000001,1,benchmark,0.0,0,30,gi")  # half a row, as kill -9 leaves it
+    assert run(TINY, out)[0] == (1, 3)
+    assert without_times(rows_of(out)) == without_times(rows_of(finished))
+    assert not (out / "rows.partial.csv").exists()
+    assert run(TINY, out) == [(3, 3)]  # nothing left to do
+
+
+def test_an_estimator_that_refuses_has_answered_nothing(tmp_path, monkeypatch):
+    class Refusing:
+        def estimate(self, *_):
+            raise ReorientError("too dark")
+
+    monkeypatch.setattr("reorient.evaluation._estimator", lambda name: Refusing())
+    config = Evaluation(ObjectSource(count=1), ("icp",), ranges_deg=((10, 20),), noise_mm=(0.0,), pairs=1)
+    run(config, tmp_path / "run")
+    (row,) = rows_of(tmp_path / "run")
+    assert row["message"] == "too dark"
+    assert float(row["error_deg"]) == pytest.approx(float(row["angle_deg"]), abs=1e-3)
+
+
+def test_refusals(finished, tmp_path):
+    with pytest.raises(ReorientError, match="holds a run of another config"):
+        run(Evaluation(ObjectSource(count=3)), finished)
+    with pytest.raises(ReorientError, match="unknown estimator"):
+        run(Evaluation(estimators=("nope",)), tmp_path)
+    with pytest.raises(ReorientError, match="unknown world 'benchmrak': .*did you mean 'benchmark'"):
+        run(Evaluation(world="benchmrak"), tmp_path)
+    with pytest.raises(ReorientError, match="0 pairs, 1 workers: expected at least 1"):
+        run(Evaluation(pairs=0), tmp_path)
+    with pytest.raises(ReorientError, match="expected config.json"):
+        read_config(tmp_path)
+    with pytest.raises(ReorientError, match="expected one source"):
+        ObjectSource(meshes=tmp_path, package="rtb-data").open()
+    with pytest.raises(ReorientError, match="expected object names, one a line"):
+        ObjectSource(only=tmp_path / "none.txt").open()

@@ -1,0 +1,56 @@
+"""Sets of objects from every source."""
+
+import numpy as np
+import pytest
+
+from reorient.errors import ReorientError
+from reorient.objects import folder, generated, package
+
+
+def test_generated():
+    objects = generated(5, seed=2)
+    assert len(set(objects.names)) == 5
+    np.testing.assert_array_equal(
+        objects.load(objects.names[3]).vertices, generated(9, 2).load(objects.names[3]).vertices
+    )
+
+
+def test_folder(tmp_path, mesh):
+    (tmp_path / "deep").mkdir()
+    mesh.export(tmp_path / "deep" / "a.stl")
+    np.savez(tmp_path / "b.npz", v=mesh.vertices, f=mesh.faces)
+    (tmp_path / "notes.txt").write_text("not a mesh")
+    objects = folder(tmp_path)
+    assert objects.names == ("b", "deep/a")
+    assert all(len(objects.load(name).faces) == len(mesh.faces) for name in objects.names)
+
+
+def test_pybullet_package(tmp_path, mesh, monkeypatch):
+    """Its data lie in a module of another name; a stand-in with the same layout is found like it."""
+    module = tmp_path / "pybullet_data"
+    (module / "random_urdfs" / "000").mkdir(parents=True)
+    (module / "__init__.py").touch()
+    mesh.export(module / "random_urdfs" / "000" / "000.obj")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert package("pybullet").names == ("000/000",)
+
+
+def test_split_is_disjoint_stable_and_complete():
+    objects = generated(200)
+    train, test = objects.split(0.8)
+    assert sorted(train.names + test.names) == sorted(objects.names)
+    assert 130 < len(train.names) < 185
+    assert set(train.names) < set(generated(400).split(0.8)[0].names)
+
+
+def test_refusals(tmp_path):
+    with pytest.raises(ReorientError, match="no folder .* expected a folder"):
+        folder(tmp_path / "none")
+    with pytest.raises(ReorientError, match="no meshes in"):
+        folder(tmp_path)
+    with pytest.raises(ReorientError, match="unknown mesh package 'rtbdata': .*did you mean 'rtb-data'"):
+        package("rtbdata")
+    with pytest.raises(ReorientError, match="expected at least 1"):
+        generated(0)
+    with pytest.raises(ReorientError, match="unknown object 'x'"):
+        generated(3).only(["x"])
