@@ -53,7 +53,10 @@ class OrientResult:
 class Strategy(Protocol):
     """Decides each move from the latest estimate."""
 
-    max_steps: int
+    @property
+    def max_steps(self) -> int:
+        """Largest number of images."""
+        ...
 
     def move(self, estimate: RotationEstimate) -> Float[np.ndarray, "3 3"] | None:
         """The next rotation (camera axes, left), or None when done."""
@@ -105,7 +108,7 @@ def orient(
     """
     if not isinstance(goal, DepthImage):
         raise ReorientError(f"goal is a {type(goal).__name__}: expected DepthImage(depth_m, camera)")
-    strategy = Proportional() if strategy is None else strategy
+    strategy = strategy or Proportional()
     pivot_m = station.pivot_m if pivot_m is None else pivot_m
     steps: list[Step] = []
 

@@ -16,6 +16,7 @@ def load_mesh(path: str | Path) -> trimesh.Trimesh:
     path = Path(path)
     if not path.is_file():
         raise ReorientError(f"no mesh file {str(path)!r}: expected an existing .stl, .obj, .ply, .dae, .npz, ... file")
+    mesh: object
     try:
         if path.suffix == ".npz":
             with np.load(path) as arrays:

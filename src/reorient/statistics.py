@@ -11,10 +11,9 @@ from rich.table import Table
 from reorient.errors import ReorientError
 from reorient.evaluation import ObjectSource
 from reorient.meshes import scale_to_radius
-from reorient.symmetry import rotation_group
+from reorient.symmetry import SYMMETRIC_BELOW, rotation_group
 
 FIGURES = ("faces", "genus", "aspect", "convexity", "symmetry_residual")
-SYMMETRIC_BELOW = 0.05  # residual under which an object counts as symmetric
 CHUNK = 8  # objects a worker takes at once
 
 
@@ -46,6 +45,12 @@ def describe_mesh(mesh: trimesh.Trimesh) -> dict[str, float]:
         "convexity": float(abs(welded.volume) / welded.convex_hull.volume) if closed else np.nan,
         "symmetry_residual": rotation_group(mesh).residual,
     }
+
+
+def is_distinctive(mesh: trimesh.Trimesh) -> bool:
+    """Whether the tables' "non-symmetric" holds: residual 0.05 or more, aspect below 12, at least 50 faces."""
+    figures = describe_mesh(mesh)
+    return figures["symmetry_residual"] >= SYMMETRIC_BELOW and figures["aspect"] < 12 and figures["faces"] >= 50
 
 
 def _describe_chunk(task: tuple[ObjectSource, tuple[str, ...]]) -> list[dict[str, str]]:

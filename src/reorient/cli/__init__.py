@@ -1,6 +1,7 @@
 """The command line: one verb per capability. Errors are one line on standard error and exit code 2."""
 
 import sys
+from typing import Any
 
 import tyro
 
@@ -14,8 +15,8 @@ VERBS = (Demo, Estimate, Orient, Capture, Objects, Evaluate, Report)
 def main(arguments: list[str] | None = None) -> None:
     """Parse and run; ends with code 0, 2 (bad input) or 130 (interrupted)."""
     try:
-        verb = tyro.extras.subcommand_cli_from_dict(
-            {verb.__name__.lower(): verb for verb in VERBS},
+        verb: Any = tyro.extras.subcommand_cli_from_dict(
+            {each.__name__.lower(): each for each in VERBS},
             prog="reorient",
             description="Turn a never-seen object to match a picture.",
             args=arguments,

@@ -3,6 +3,7 @@
 import csv
 import gzip
 import io
+import sys
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -31,6 +32,11 @@ def _progress(what: str, states: Iterable[tuple[int, int]]) -> None:
         task = bar.add_task(what, total=None)
         for done, total in states:
             bar.update(task, completed=done, total=total)
+
+
+def _console() -> Console:
+    """As wide as the terminal; wide enough for the tables where there is none."""
+    return Console() if sys.stdout.isatty() else Console(width=120)
 
 
 @dataclass(frozen=True)
@@ -68,13 +74,21 @@ class List:
     """Print the names of a set.
 
     For example: reorient objects list --package example-robot-data
+    or, what ``--only`` takes: reorient objects list --count 500 --distinctive > distinctive.txt
     """
 
     objects: ObjectSource = field(default_factory=ObjectSource)
+    distinctive: bool = False
+    """Only non-symmetric objects, of at least 50 faces and an aspect below 12."""
 
     def run(self) -> None:
         """One name a line."""
-        print("\n".join(self.objects.open().names))
+        from reorient.statistics import is_distinctive
+
+        objects = self.objects.open()
+        for name in objects.names:
+            if not self.distinctive or is_distinctive(objects.load(name)):
+                print(name, flush=True)
 
 
 @dataclass(frozen=True)
@@ -109,7 +123,7 @@ class Check:
             writer.writerows(rows)
             with replacing(self.out) as temporary:
                 temporary.write_bytes(gzip.compress(text.getvalue().encode(), mtime=0))
-        print_statistics(rows, Console())
+        print_statistics(rows, _console())
 
 
 @dataclass(frozen=True)
@@ -174,7 +188,7 @@ class Evaluate:
         from reorient.reporting import print_tables, read_rows
 
         _progress("pairs", evaluate(self.config, self.out, self.workers))
-        print_tables(read_rows(self.out), Console())
+        print_tables(read_rows(self.out), _console())
         print(self.out / "rows.csv.gz")
 
 

@@ -70,9 +70,11 @@ def error_by_angle(rows: Sequence[Row]) -> str:
                 axes.fill_between(middles, first, third, color=colour, alpha=0.15, linewidth=0)
                 axes.plot(middles, median, color=colour, marker="o", markersize=3)
             axes.set_yscale("log")
-            axes.set_ylim(bottom=max(axes.get_ylim()[0], _least_deg(error_deg)))
+            axes.xaxis.set_major_locator(MaxNLocator(7, steps=[1, 3, 6, 10]))
             axes.xaxis.set_major_formatter(_degrees())
             axes.yaxis.set_major_formatter(_degrees())
+        # last, because a limit set on shared axes ends their autoscaling
+        panels[0].set_ylim(bottom=max(panels[0].get_ylim()[0], _least_deg(error_deg)))
         panels[0].set_ylabel("error (median, quartiles)")
         _legend(figure, colours)
         return _svg(figure)

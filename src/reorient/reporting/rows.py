@@ -45,7 +45,7 @@ def read_rows(folder: str | Path) -> list[Row]:
     """The rows of ``rows.csv.gz``. Raises ReorientError where it is missing, broken, empty or lacks columns."""
     file = Path(folder) / "rows.csv.gz"
     if not file.is_file():
-        raise ReorientError(f"no {str(file)!r}: expected the config.json and rows.csv.gz of an evaluation")
+        raise ReorientError(f"no {str(file)!r}: expected config.json and rows.csv.gz of an evaluation")
     try:
         with gzip.open(file, "rt", newline="") as text:
             reader = csv.DictReader(text)

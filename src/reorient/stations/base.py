@@ -25,5 +25,5 @@ class Station(Protocol):
         ...
 
     def rotate(self, R_step: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-        """Turn the object by R_step (camera axes, left: R_after = R_step @ R_before) and return what was really done."""
+        """Turn the object by R_step (camera axes, left: R_after = R_step @ R_before) and return what was done."""
         ...
