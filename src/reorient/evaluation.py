@@ -8,8 +8,10 @@ import csv
 import gzip
 import io
 import json
+import shlex
 import shutil
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -31,7 +33,33 @@ from reorient.rendering import Renderer, load_world
 from reorient.sensing import randomised
 from reorient.symmetry import SymmetryGroup, rotation_group, symmetric_error
 
-COLUMNS = ["object", "pair", "world", "noise_mm", "low_deg", "high_deg", "estimator", "angle_deg", "error_deg", "error_sym_deg", "qw", "qx", "qy", "qz", "seconds", "agreement", "fit", "in_front", "outside", "behind", "residual_mm", "converged", "iterations", "confidence", "message"]
+COLUMNS = [
+    "object",
+    "pair",
+    "world",
+    "noise_mm",
+    "low_deg",
+    "high_deg",
+    "estimator",
+    "angle_deg",
+    "error_deg",
+    "error_sym_deg",
+    "qw",
+    "qx",
+    "qy",
+    "qz",
+    "seconds",
+    "agreement",
+    "fit",
+    "in_front",
+    "outside",
+    "behind",
+    "residual_mm",
+    "converged",
+    "iterations",
+    "confidence",
+    "message",
+]
 
 Row = dict[str, str]
 
@@ -229,10 +257,10 @@ def _write_config(config: Evaluation, out: Path) -> None:
         if json.loads(file.read_text())["config"] != asked:
             raise ReorientError(f"{str(out)!r} holds a run of another config: expected the same, or a new folder")
         return
+    command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+    run = {"config": asked, "version": __version__, "commit": _commit(), "command": command}
     with replacing(file) as temporary:
-        temporary.write_text(
-            json.dumps({"config": asked, "version": __version__, "commit": _commit()}, indent=2) + "\n"
-        )
+        temporary.write_text(json.dumps(run, indent=2) + "\n")
 
 
 def _commit() -> str | None:

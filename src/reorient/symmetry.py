@@ -316,14 +316,20 @@ def passes_paper_filter(mesh: trimesh.Trimesh) -> bool:
 
 
 def has_trimesh_axis(mesh: trimesh.Trimesh) -> bool:
-    """Whether trimesh finds a mesh ``radial`` or ``spherical``: two or three equal principal moments of inertia."""
+    """Whether trimesh finds a mesh ``radial`` or ``spherical``: two or three equal principal moments of inertia.
+
+    What trimesh takes for the moments of an open mesh depends on the origin, which is then put in its centroid.
+    """
     check_surface(mesh)
+    if not mesh.is_volume:
+        mesh = trimesh.Trimesh(mesh.vertices - mesh.centroid, mesh.faces, process=False)
     return not _is_flat(mesh) and mesh.symmetry is not None
 
 
 def _is_flat(mesh: trimesh.Trimesh) -> bool:
     """Whether a mesh encloses nothing, and so has no centre of mass and no inertia."""
-    return abs(mesh.volume) <= 1e-9 * mesh.scale**3
+    volume = np.linalg.det(mesh.triangles - mesh.centroid).sum() / 6  # mesh.volume divides by it
+    return bool(abs(volume) <= 1e-9 * mesh.scale**3)
 
 
 def has_symmetric_stable_pose(mesh: trimesh.Trimesh, below: float = PAPER_FILTER_BELOW) -> bool:

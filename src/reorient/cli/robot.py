@@ -111,7 +111,7 @@ class Demo:
 
     out: Path = Path("out/demo")
     """Folder for the GIF and the page."""
-    object_index: int = 36
+    object_index: int = 51
     """Which generated object."""
     start_deg: float = 45.0
     """How far the start is from the goal."""

@@ -134,6 +134,8 @@ def growing_curve(predicted_deg: Sequence[float], true_deg: Sequence[float], siz
         axes = figure.subplots()
         lines = _loop_axes(axes, predicted_deg, true_deg)
         axes.legend(loc="upper right", handlelength=1.6)
+        canvas.draw()
+        figure.set_layout_engine("none")  # laid out once: the axes must not stir, and it takes most of the time
         frames = []
         for count in range(1, len(predicted_deg) + 1):
             for line, values in zip(lines, (predicted_deg, true_deg), strict=True):
