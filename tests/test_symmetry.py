@@ -7,6 +7,7 @@ import manifold3d
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import cKDTree
 
 from reorient import so3
 from reorient.errors import ReorientError
@@ -128,6 +129,16 @@ def test_residual_tells_symmetric_from_irregular():
     assert group_of("irregular bracket").residual > 0.15
 
 
+def test_residual_is_what_its_definition_says():
+    mesh, _ = turned("irregular bracket")
+    cloud, probes = (trimesh.sample.sample_surface(mesh, n, seed=n)[0] - mesh.centroid for n in (10_000, 100))
+    axes = so3.sample_axes(np.random.default_rng(0), 600)
+    R = np.concatenate([so3.exp(axes * np.radians(25)), so3.exp(axes * np.pi)])  # it is nearest where turned least
+    distance = cKDTree(cloud).query(probes @ np.swapaxes(R, 1, 2))[0]
+    at_random = np.quantile(distance, 0.95, axis=1).min() / np.sqrt(np.mean(np.sum(cloud**2, axis=1)))
+    assert 0.75 * at_random < group_of("irregular bracket").residual < 1.02 * at_random
+
+
 def test_residual_and_group_do_not_depend_on_size():
     mesh = turned("L bracket")[0].copy().apply_scale(1e-3)
     group = rotation_group(mesh)
@@ -225,6 +236,14 @@ def test_box_rests_on_its_faces_and_a_sheet_on_either_side():
     assert all(so3.is_rotation(R) for R in poses)
     assert abs(poses[0][2, 0]) == pytest.approx(1)  # the widest footing is across x, which then points up or down
     assert len(stable_poses(turned("sheet")[0])) == 2
+
+
+def test_stable_poses_are_those_of_trimesh():
+    mesh, _ = turned("irregular bracket")
+    theirs, _ = trimesh.poses.compute_stable_poses(mesh.convex_hull, center_mass=mesh.convex_hull.center_mass, seed=0)
+    ours = stable_poses(mesh)  # the bracket's parts overlap, so it is as heavy as its hull
+    assert len(ours) == len(theirs)
+    assert nearest_angle(ours, theirs[:, :3, :3]).max() < 0.01
 
 
 def test_open_and_flat_meshes_do_not_crash_or_warn():

@@ -338,8 +338,8 @@ def has_symmetric_stable_pose(mesh: trimesh.Trimesh, below: float = PAPER_FILTER
     The clouds are samples of the surface, not renderings, so they do not depend on a camera; x, y, z pass through
     their centroid, z up and x, y as trimesh chooses them. The distance is the mean to the nearest point, less that of
     two samples of one surface, over the RMS radius. Shapes that are symmetric by construction score below 0.002 and
-    irregular ones 0.1; of scanned and modelled household goods the default rejects 92% of those whose
-    ``rotation_group`` is not trivial and 2% of the others.
+    irregular ones 0.1; of a hundred household goods it rejects 92% of those that ``rotation_group``
+    calls symmetric (residual below 0.05) and 2% of the others.
     """
     surface = _Surface(check_surface(mesh))
     pose = stable_poses(mesh)[:60, None]  # round things have a thousand

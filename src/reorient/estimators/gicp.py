@@ -19,7 +19,7 @@ from reorient.estimators.base import History, RotationEstimate, check_pair
 from reorient.estimators.evidence import Evidence, View, agreement, weigh
 
 CLEAR_AGREEMENT = 0.7  # of the first alignment: no further starts
-RIVAL_MARGIN = 0.4  # a start may agree less than the first answer by this much, and still win once aligned
+RIVAL_MARGIN = 0.6  # a start may agree less than the first answer by this much, and still win once aligned
 STARTS = 8
 FINALISTS = 4
 LARGEST_PIVOT_SHIFT = 0.2  # of the object's size; a hypothesis that moves a known pivot farther is implausible
@@ -39,8 +39,8 @@ class Stage:
     """Largest distance of corresponding points."""
 
 
-COARSE, FINE = Stage(0.035, 0.15), Stage(0.009, 0.03)
-SEARCH_TOLERANCE, FINE_TOLERANCE = 0.06, 0.018  # depth difference that still fits, in shares of the object's size
+COARSE, FINE = Stage(0.032, 0.12), Stage(0.009, 0.03)
+SEARCH_TOLERANCE, FINE_TOLERANCE = 0.04, 0.012  # depth difference that still fits, in shares of the object's size
 
 
 class GICP:
@@ -86,7 +86,7 @@ class _Alignment:
         self._views = View(current, 200), View(goal, 200)
         self._pivot_m = pivot_m
         # Without a pivot the turning points are guessed: behind the middle of what is seen.
-        behind = np.array([0.0, 0.0, 0.15 * self._size_m])
+        behind = np.array([0.0, 0.0, 0.12 * self._size_m])
         self._turning = (
             (source.mean(axis=0) + behind, target.mean(axis=0) + behind) if pivot_m is None else (pivot_m, pivot_m)
         )
@@ -103,7 +103,7 @@ class _Alignment:
         t = self._turning[1] - _GRID @ self._turning[0]
         scores = self._agreement(_GRID, t)
         floor = self._agreement(first.T[None, :3, :3], first.T[None, :3, 3])[0] - RIVAL_MARGIN
-        far = so3.angle_difference(_GRID, first.T[:3, :3]) > np.radians(20)
+        far = so3.angle_difference(_GRID, first.T[:3, :3]) > np.radians(10)
         order = [i for i in np.argsort(-scores) if far[i] and scores[i] > floor]
         modes: list[int] = []
         while order and len(modes) < STARTS:
