@@ -30,7 +30,7 @@ class TurntableStation:
         return self._cell.pivot_m
 
     def capture(self) -> DepthImage:
-        """Ask your camera for depth in metres, and isolate the object: reorient.depth.isolate(image, near_m=..., ...)."""
+        """Ask your camera for depth in metres, and isolate the object (reorient.depth.isolate)."""
         return self._cell.capture()
 
     def rotate(self, R_step: np.ndarray) -> np.ndarray:

@@ -155,7 +155,7 @@ def test_a_failed_capture_leaves_the_old_goal(capsys, tmp_path, monkeypatch):
 def test_demo(capsys, tmp_path):
     main(["demo", "--out", str(tmp_path / "demo"), "--start-deg", "15"])
     said = capsys.readouterr().out.strip().splitlines()
-    assert "in truth" in said[1]
+    assert "truly" in said[1]
     assert "Done after" in said[-3]
     for path in map(Path, said[-2:]):
         assert path.is_file()

@@ -1,5 +1,7 @@
 """Algorithm 1: what it does with known estimates, how it ends, and that its record survives failures."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -146,8 +148,7 @@ def test_failures_end_the_loop_with_the_record_kept(cell, fails, moves, said):
     result = orient(Failing(), goal, FailingOracle(station, R_goal))
     assert not result.converged
     assert result.moves == moves
-    with pytest.raises(AssertionError, match=said):
-        raise AssertionError(result.reason)
+    assert re.search(said, result.reason)
 
 
 def test_bad_arguments(cell, unchecked):

@@ -99,14 +99,36 @@ def test_gicp_with_other_cameras_sizes_and_scales(mesh, f):
 
 
 def test_gicp_survives_thin_and_tiny_clouds():
+    """small_gicp reads beyond clouds of a few points: they never reach it."""
     camera = Camera(64, 64, 60.0, 60.0, 32.0, 32.0)
     line = np.zeros((64, 64))
     line[30, 5:60] = 0.5
     dot = np.zeros((64, 64))
     dot[20:25, 20:25] = 0.5
-    for first, second in ((line, line), (dot, line), (dot, dot)):
-        estimate = load_estimator("gicp").estimate(DepthImage(first, camera), DepthImage(second, camera))
-        assert so3.is_rotation(estimate.R_goal_current)
+    line, dot = DepthImage(line, camera), DepthImage(dot, camera)
+    estimate = load_estimator("gicp").estimate(line, line)
+    assert so3.is_rotation(estimate.R_goal_current)
+    with pytest.raises(ReorientError, match="current image has . distinct points at a resolution of .* remove stray"):
+        load_estimator("gicp").estimate(dot, line)
+
+
+def test_gicp_is_not_misled_by_one_stray_return(mesh):
+    pair = pair_of(mesh)
+    stray = pair.current.depth_m.copy()
+    stray[0, 0] = 9.0
+    estimate = load_estimator("gicp").estimate(DepthImage(stray, WORLD.camera), pair.goal)
+    assert error_deg(estimate, pair) < 0.5
+
+
+def test_a_pivot_of_a_centimetre_does_not_hurt_small_objects(mesh):
+    """An object of 2 cm, its pivot 1 cm wrong."""
+    rng = np.random.default_rng(2)
+    renderer, camera = Renderer(mesh), Camera(128, 128, 331.0, 331.0, 64.0, 64.0)
+    placement = Placement(0.01, np.array([0.0, 0.0, 0.06]))
+    R_start, R = so3.sample_uniform(rng, 1)[0], so3.exp(np.array([0.3, -0.2, 0.1]))
+    images = [DepthImage(renderer.depth(camera, x, placement), camera) for x in (R_start, R @ R_start)]
+    estimate = load_estimator("gicp").estimate(*images, pivot_m=placement.center_m + np.array([0.01, 0.0, 0.0]))
+    assert np.degrees(so3.angle_difference(estimate.R_goal_current, R)) < 0.5
 
 
 def test_covariance_covers_the_errors(mesh):

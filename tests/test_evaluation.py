@@ -108,8 +108,20 @@ def test_refusals(finished, tmp_path):
         run(Evaluation(estimators=("nope",)), tmp_path)
     with pytest.raises(ReorientError, match="unknown world 'benchmrak': .*did you mean 'benchmark'"):
         run(Evaluation(world="benchmrak"), tmp_path)
-    with pytest.raises(ReorientError, match="0 pairs, 1 workers: expected at least 1"):
-        run(Evaluation(pairs=0), tmp_path)
+    with pytest.raises(ReorientError, match="0 workers: expected at least 1"):
+        run(TINY, tmp_path, workers=0)
+    for wrong in ({"pairs": 0}, {"seed": -1}, {"noise_mm": (-1.0,)}, {"ranges_deg": ((30, 10),)}, {"estimators": ()}):
+        with pytest.raises(ReorientError, match="expected"):
+            Evaluation(**wrong)
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "broken.stl").write_text("solid nothing")
+    with pytest.raises(ReorientError, match="1 of 1 meshes are refused .*name the others with --only"):
+        run(Evaluation(ObjectSource(meshes=tmp_path / "meshes")), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+    (tmp_path / "config.json").write_text('{"config": ')
+    with pytest.raises(ReorientError, match="broken .*config.json"):
+        read_config(tmp_path)
+    (tmp_path / "config.json").unlink()
     with pytest.raises(ReorientError, match="expected config.json"):
         read_config(tmp_path)
     with pytest.raises(ReorientError, match="expected one source"):

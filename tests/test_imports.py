@@ -25,6 +25,7 @@ ROOMS = [
     "rendering",
     "sensing",
     "symmetry",
+    "paper_filter",
     "estimators.evidence",
     "estimators.base",
     "estimators",
@@ -39,7 +40,7 @@ ROOMS = [
     "cli",
     "",  # the package itself
 ]
-NEVER = {"estimators": {"meshes", "shapes", "objects", "rendering", "sensing", "symmetry"}}
+NEVER = {"estimators": {"meshes", "shapes", "objects", "rendering", "sensing", "symmetry", "paper_filter"}}
 ONLY = {"controller": {"errors", "so3", "depth", "estimators.base", "stations.base"}}
 
 

@@ -189,7 +189,7 @@ def test_worlds_place_objects_within_their_ranges_and_in_view(name, mesh, rng):
             assert world.diagonal_m[0] <= diagonal_m <= world.diagonal_m[1]
         else:
             assert radius_m == pytest.approx(world.radius_m)
-        off_m = np.abs(placement.center_m - world.nominal_pivot_m)
+        off_m = np.abs(placement.center_m - [0, 0, np.mean(world.distance_m)])
         assert np.all(off_m <= [world.shift_m, world.shift_m, np.ptp(world.distance_m) / 2 + 1e-12])
         image = DepthImage(renderer.depth(world.camera, R, placement), world.camera)
         assert not np.any(image.valid[[0, -1]])

@@ -1,9 +1,8 @@
-"""Groups of solids whose symmetry is in the books, the error that divides it out, and the paper's filter."""
+"""Groups of solids whose symmetry is in the books, and the error that divides it out."""
 
 import functools
 import warnings
 
-import manifold3d
 import numpy as np
 import pytest
 import trimesh
@@ -11,68 +10,8 @@ from scipy.spatial import cKDTree
 
 from reorient import so3
 from reorient.errors import ReorientError
-from reorient.symmetry import (
-    SYMMETRIC_BELOW,
-    has_symmetric_stable_pose,
-    has_trimesh_axis,
-    passes_paper_filter,
-    rotation_group,
-    stable_poses,
-    symmetric_error,
-)
-
-TETRAHEDRON = [[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]
-BOTTLE = [[0, 0], [1, 0], [1, 2], [0.4, 2.5], [0.4, 3], [0, 3]]
-
-
-def extruded(outline, height):
-    solid = manifold3d.Manifold.extrude(manifold3d.CrossSection([outline]), height).to_mesh()
-    return trimesh.Trimesh(solid.vert_properties[:, :3], solid.tri_verts)
-
-
-def bracket():
-    """Legs of unequal length and a post on one of them: no symmetry."""
-    legs = extruded([[0, 0], [3, 0], [3, 0.6], [1, 0.6], [1, 2], [0, 2]], 0.8)
-    post = trimesh.creation.cylinder(radius=0.3, height=1.5)
-    return legs + post.apply_translation([2.4, 0.3, 0.8])
-
-
-def part_of(mesh, keep):
-    mesh.update_faces(keep(mesh))
-    return mesh
-
-
-SHAPES = {  # the mesh, the number of rotations, the number of axes
-    "cube": (lambda: trimesh.creation.box((1, 1, 1)), 24, 0),
-    "box": (lambda: trimesh.creation.box((1, 2, 3)), 4, 0),
-    "square prism": (lambda: trimesh.creation.box((1, 1, 2)), 8, 0),
-    "hexagonal prism": (lambda: trimesh.creation.cylinder(radius=1, height=1.5, sections=6), 12, 0),
-    "square pyramid": (lambda: trimesh.creation.cone(radius=1, height=1.5, sections=4), 4, 0),
-    "tetrahedron": (lambda: trimesh.convex.convex_hull(np.array(TETRAHEDRON, float)), 12, 0),
-    "icosahedron": (trimesh.creation.icosahedron, 60, 0),
-    "L bracket": (lambda: extruded([[0, 0], [3, 0], [3, 1], [1, 1], [1, 3], [0, 3]], 1.0), 2, 0),
-    "irregular bracket": (bracket, 1, 0),
-    "cylinder": (lambda: trimesh.creation.cylinder(radius=1, height=2.5, sections=64), 2, 1),
-    "cylinder of equal moments": (lambda: trimesh.creation.cylinder(radius=1, height=3**0.5, sections=64), 2, 1),
-    "bottle": (lambda: trimesh.creation.revolve(np.array(BOTTLE), sections=48), 1, 1),
-    "open bowl": (lambda: part_of(trimesh.creation.icosphere(3), lambda m: m.triangles_center[:, 2] < 0.3), 1, 1),
-    "sheet": (lambda: trimesh.Trimesh([[0, 0, 0], [2, 0, 0], [2, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]]), 4, 0),
-    "box without a side": (
-        lambda: part_of(trimesh.creation.box((1, 2, 3)), lambda m: m.face_normals[:, 0] < 0.5),
-        2,
-        0,
-    ),
-}
-
-
-@functools.cache
-def turned(name):
-    """The shape out of line with the axes and away from the origin, and how it got there."""
-    mesh = SHAPES[name][0]()
-    pose = np.eye(4)
-    pose[:3, :3] = so3.sample_uniform(np.random.default_rng(sum(map(ord, name))), 1)[0]
-    pose[:3, 3] = [1.0, 2.0, 3.0]
-    return mesh.apply_transform(pose), pose
+from reorient.symmetry import SYMMETRIC_BELOW, rotation_group, symmetric_error
+from solids import SHAPES, nearest_angle, turned
 
 
 @functools.cache
@@ -84,10 +23,6 @@ def members(group):
     """The rotations of a group, with some of the spins if it has an axis."""
     spins = so3.exp(group.axes[:1] * np.arange(5)[:, None]) if len(group.axes) else np.eye(3)[None]
     return (group.rotations[:, None] @ spins).reshape(-1, 3, 3)
-
-
-def nearest_angle(R, group):
-    return so3.angle_difference(group[:, None], R[None]).min(axis=0)
 
 
 @pytest.mark.parametrize("name", SHAPES)
@@ -213,45 +148,11 @@ def test_tilting_a_cylinder_counts_and_spinning_it_does_not():
         assert np.isclose(symmetric_error(group, R_est, R_gt, R_camera_object), expected)
 
 
-@pytest.mark.parametrize("name", ["cylinder", "cube", "bottle", "box", "L bracket"])
-def test_filter_rejects_the_symmetric(name):
-    assert not passes_paper_filter(turned(name)[0])
-
-
-def test_filter_accepts_the_irregular_whole_or_open():
-    mesh, _ = turned("irregular bracket")
-    assert passes_paper_filter(mesh)
-    assert passes_paper_filter(part_of(mesh.copy(), lambda m: np.arange(len(m.faces)) % 3 > 0))
-
-
-def test_the_two_tests_of_the_filter_see_different_things():
-    assert has_trimesh_axis(turned("bottle")[0])
-    assert not has_trimesh_axis(turned("L bracket")[0])  # three moments of inertia, and yet it can be turned over
-    assert has_symmetric_stable_pose(turned("L bracket")[0])
-
-
-def test_box_rests_on_its_faces_and_a_sheet_on_either_side():
-    poses = stable_poses(trimesh.creation.box((1, 2, 3)))
-    assert len(poses) == 6
-    assert all(so3.is_rotation(R) for R in poses)
-    assert abs(poses[0][2, 0]) == pytest.approx(1)  # the widest footing is across x, which then points up or down
-    assert len(stable_poses(turned("sheet")[0])) == 2
-
-
-def test_stable_poses_are_those_of_trimesh():
-    mesh, _ = turned("irregular bracket")
-    theirs, _ = trimesh.poses.compute_stable_poses(mesh.convex_hull, center_mass=mesh.convex_hull.center_mass, seed=0)
-    ours = stable_poses(mesh)  # the bracket's parts overlap, so it is as heavy as its hull
-    assert len(ours) == len(theirs)
-    assert nearest_angle(ours, theirs[:, :3, :3]).max() < 0.01
-
-
 def test_open_and_flat_meshes_do_not_crash_or_warn():
     triangle = trimesh.Trimesh([[0, 0, 0], [3, 0, 0], [0.4, 1, 0]], [[0, 1, 2]])
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for mesh in (turned("sheet")[0], turned("open bowl")[0], turned("box without a side")[0], triangle):
-            assert isinstance(passes_paper_filter(mesh), bool)
             assert np.isfinite(rotation_group(mesh).residual)
 
 
@@ -259,4 +160,4 @@ def test_what_is_no_surface_is_refused():
     with pytest.raises(ReorientError, match="no area"):
         rotation_group(trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]], process=False))
     with pytest.raises(ReorientError, match="no faces"):
-        passes_paper_filter(trimesh.Trimesh())
+        rotation_group(trimesh.Trimesh())

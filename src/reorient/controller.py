@@ -13,7 +13,7 @@ from jaxtyping import Float
 from reorient import so3
 from reorient.depth import DepthImage
 from reorient.errors import ReorientError, StationError
-from reorient.estimators.base import Estimator, RotationEstimate
+from reorient.estimators.base import Estimator, RotationEstimate, check_pair
 from reorient.stations.base import Station
 
 
@@ -77,7 +77,7 @@ class Proportional:
     def __post_init__(self) -> None:
         if not (self.max_steps >= 1 and 0 < self.eta <= 1 and self.delta_rad >= 0):
             raise ReorientError(
-                f"K={self.max_steps}, eta={self.eta}, delta={self.delta_rad} rad: expected K >= 1, 0 < eta <= 1, delta >= 0"
+                f"K={self.max_steps}, eta={self.eta}, delta={self.delta_rad}: expected K >= 1, 0 < eta <= 1, delta >= 0"
             )
 
     def move(self, estimate: RotationEstimate) -> Float[np.ndarray, "3 3"] | None:
@@ -103,14 +103,19 @@ def orient(
     """Turn the object at the station until it looks like the goal (Algorithm 1 unless another strategy is given).
 
     ``pivot_m``: rotation centre in camera axes; None: the station's own. Subscribers are called with each step, after
-    its move. A failing station or estimator ends the loop with the record kept and the reason said; bad arguments
-    raise ReorientError before anything moves.
+    its move. Each estimate gets the earlier images as history. A failing station or estimator ends the loop with the
+    record kept and the reason said; bad arguments raise ReorientError before anything moves.
     """
     if not isinstance(goal, DepthImage):
         raise ReorientError(f"goal is a {type(goal).__name__}: expected DepthImage(depth_m, camera)")
+    for thing, members in ((station, ("capture", "rotate", "pivot_m")), (estimator, ("estimate",))):
+        if isinstance(thing, type) or not all(hasattr(thing, member) for member in members):
+            raise ReorientError(f"{thing!r} given: expected an object with {', '.join(members)}")
     strategy = strategy or Proportional()
     pivot_m = station.pivot_m if pivot_m is None else pivot_m
+    check_pair(goal, goal, pivot_m)
     steps: list[Step] = []
+    history: list[tuple[DepthImage, Float[np.ndarray, "3 3"]]] = []
 
     def ended(reason: str, converged: bool = False) -> OrientResult:
         return OrientResult(tuple(steps), converged, reason)
@@ -121,8 +126,8 @@ def orient(
         except Exception as error:  # a driver may raise anything; the record must survive it
             return ended(f"the station failed to capture: {_said(error)}")
         try:
-            estimate = estimator.estimate(image, goal, pivot_m)
-        except ReorientError as error:
+            estimate = estimator.estimate(image, goal, pivot_m, history)
+        except Exception as error:
             return ended(f"the estimator failed: {_said(error)}")
         R_step = strategy.move(estimate)
         R_executed = None
@@ -133,6 +138,8 @@ def orient(
             except Exception as error:
                 failure = f"the station failed to rotate: {_said(error)}"
         steps.append(Step(index, image, estimate, R_step, R_executed))
+        if R_executed is not None:
+            history = [(seen, R_executed @ R_now_then) for seen, R_now_then in [*history, (image, np.eye(3))]]
         for subscriber in subscribers:
             subscriber(steps[-1])
         if R_step is None:

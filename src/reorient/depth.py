@@ -7,11 +7,12 @@ Camera axes are OpenCV's: x right, y down, z forward. Pixel centres lie at +0.5:
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Shaped
 
 from reorient import so3
 from reorient.errors import ReorientError
 
+NEAREST_M = 0.01  # a median depth below this is no camera's
 MILLIMETRES_ABOVE = 20.0  # a median depth of over 20 is taken for millimetres: no depth camera holds an object there
 ISOLATED_BELOW = 0.6  # an object alone leaves at least this much of the frame empty
 
@@ -106,6 +107,8 @@ class DepthImage:
         if not depth_m.any():
             raise ReorientError("depth is 0 everywhere: expected returns from the object (empty frame or empty mask?)")
         median = float(np.median(depth_m[depth_m > 0]))
+        if median < NEAREST_M:
+            raise ReorientError(f"median depth is {median:.2g} m: expected metres, at least {NEAREST_M} (wrong scale?)")
         if median > MILLIMETRES_ABOVE:
             raise ReorientError(
                 f"median depth is {median:.0f}: this looks like millimetres, expected metres (times 0.001)"
@@ -139,6 +142,12 @@ class DepthImage:
         return replace(self, depth_m=self.depth_m[np.ix_(rows, columns)], camera=self.camera.resized(width, height))
 
 
+def is_scene(image: DepthImage) -> bool:
+    """Whether an image shows a whole scene, not one object: over 60% returns, and most of the border too."""
+    border = np.concatenate([image.valid[[0, -1]].ravel(), image.valid[:, [0, -1]].ravel()])
+    return float(np.mean(image.valid)) > ISOLATED_BELOW and float(np.mean(border)) > 0.5
+
+
 def require_isolated(image: DepthImage) -> DepthImage:
     """The image itself. Raises ReorientError where returns fill more than 60% of it."""
     share = float(np.mean(image.valid))
@@ -152,7 +161,7 @@ def require_isolated(image: DepthImage) -> DepthImage:
 
 def isolate(
     image: DepthImage,
-    mask: Bool[np.ndarray, "height width"] | None = None,
+    mask: Shaped[np.ndarray, "height width"] | None = None,
     box_px: tuple[int, int, int, int] | None = None,
     near_m: float | None = None,
     far_m: float | None = None,
@@ -163,6 +172,7 @@ def isolate(
     """
     keep = image.valid.copy()
     if mask is not None:
+        mask = np.asarray(mask) != 0
         if mask.shape != keep.shape:
             raise ReorientError(f"mask of shape {mask.shape}: expected {keep.shape} as its depth image")
         if not mask.any():
@@ -239,7 +249,11 @@ def aim(
     sine = np.linalg.norm(axis)
     R_virtual_camera = so3.exp(axis / sine * np.arctan2(sine, direction[2])) if sine > 0 else np.eye(3)
     seen = points @ R_virtual_camera.T
-    extent = np.abs(seen[:, :2] / seen[:, 2:]).max()
+    if seen[:, 2].min() <= 0:
+        raise ReorientError(
+            f"pivot {target}: expected it near the object, some returns lie behind a camera aimed at it"
+        )
+    extent = max(float(np.abs(seen[:, :2] / seen[:, 2:]).max()), 1 / min(current.camera.fx, goal.camera.fx))
     half = size_px / 2
     f = fill * half / extent
     return VirtualCamera(Camera(size_px, size_px, f, f, half, half), R_virtual_camera)

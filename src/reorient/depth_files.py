@@ -43,8 +43,9 @@ def write_camera(path: str | Path, camera: Camera) -> None:
 def read_depth(path: str | Path, camera: Camera | None = None, scale_m: float | None = None) -> DepthImage:
     """A depth image from .png, .tif(f), .npy or .npz.
 
-    ``camera``: its intrinsics, unless the file states them. ``scale_m``: metres per unit, overrides the file's own.
-    Raises ReorientError for a missing, truncated or unknown file, missing intrinsics, and whatever DepthImage refuses.
+    ``camera``: its intrinsics, overriding what the file states; needed where it states none. ``scale_m``: metres per
+    unit of integer depth, overriding the file's own. Raises ReorientError for a missing, truncated or unknown file,
+    missing intrinsics, and whatever DepthImage refuses.
     """
     path = _existing(path, "depth image")
     if path.suffix.lower() not in SUFFIXES:
@@ -63,12 +64,11 @@ def read_depth(path: str | Path, camera: Camera | None = None, scale_m: float | 
         camera = _camera_from(stated["camera"], str(path))
     if camera is None:
         raise ReorientError(f"missing intrinsics for {str(path)!r}: expected a camera file (--camera camera.json)")
-    if scale_m is None:
-        scale_m = stated.get("scale_m")
     if depth.ndim != 2:
         raise ReorientError(f"depth image {str(path)!r} has shape {depth.shape}: expected one channel, (height, width)")
-    if scale_m is not None:
-        depth = depth * np.float64(scale_m)
+    if np.issubdtype(depth.dtype, np.integer) and (scale_m is not None or "scale_m" in stated):
+        scale_m = stated["scale_m"] if scale_m is None else scale_m
+        depth = depth * _check_scale(scale_m)
     return DepthImage(depth, camera, stated.get("stamp_s"))
 
 
@@ -122,9 +122,10 @@ def _existing(path: str | Path, what: str) -> Path:
     return path
 
 
-def _check_scale(scale_m: float) -> None:
-    if not 0 < scale_m < np.inf:
-        raise ReorientError(f"depth scale {scale_m}: expected metres per unit, above 0")
+def _check_scale(scale_m: Any) -> float:
+    if not (isinstance(scale_m, int | float) and 0 < scale_m < np.inf):
+        raise ReorientError(f"depth scale {scale_m!r}: expected metres per unit, above 0")
+    return float(scale_m)
 
 
 def _read_arrays(path: Path) -> tuple[np.ndarray, dict[str, Any]]:
@@ -173,7 +174,13 @@ def _camera_from(data: Any, source: str) -> Camera:
     try:
         size = int(data["width"]), int(data["height"])
         if "intrinsic_matrix" in data:  # Open3D, column-major
-            fx, _, _, _, fy, _, cx, cy, _ = (float(x) for x in np.ravel(data["intrinsic_matrix"]))
+            K = np.array(data["intrinsic_matrix"], float).reshape(3, 3)
+            K = K if np.any(K[2, :2]) else K.T  # some writers store rows
+            if np.any(K[[0, 1, 0, 1], [1, 0, 2, 2]]) or K[2, 2] != 1:
+                raise ReorientError(
+                    f"intrinsic_matrix in {source!r}: expected [fx 0 0 0 fy 0 cx cy 1], column by column"
+                )
+            (fx, fy), (cx, cy) = np.diag(K)[:2].tolist(), K[2, :2].tolist()
         elif "ppx" in data:  # RealSense
             if np.any(np.asarray(data.get("coeffs", 0.0), float) != 0):
                 raise ReorientError(

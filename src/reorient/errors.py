@@ -15,4 +15,5 @@ def unknown_name(kind: str, name: str, known: list[str]) -> ReorientError:
 
     near = difflib.get_close_matches(name, known, n=1)
     hint = f" (did you mean {near[0]!r}?)" if near else ""
-    return ReorientError(f"unknown {kind} {name!r}: expected one of {', '.join(known)}{hint}")
+    listed = ", ".join(known[:20]) + (f", ... ({len(known)} in all)" if len(known) > 20 else "")
+    return ReorientError(f"unknown {kind} {name!r}: expected one of {listed}{hint}")

@@ -26,7 +26,7 @@ from reorient import __version__, so3
 from reorient.errors import ReorientError
 from reorient.estimators import load_estimator
 from reorient.estimators.base import Estimator
-from reorient.files import replacing
+from reorient.files import make_folder, replacing
 from reorient.objects import ObjectSet, folder, generated, package
 from reorient.pairs import Pair, sample_pair
 from reorient.rendering import Renderer, load_world
@@ -93,7 +93,7 @@ class ObjectSource:
             return objects
         if not self.only.is_file():
             raise ReorientError(f"no file {str(self.only)!r}: expected object names, one a line")
-        return objects.only(self.only.read_text().split())
+        return objects.only([line.strip() for line in self.only.read_text().splitlines() if line.strip()])
 
 
 @dataclass(frozen=True)
@@ -115,6 +115,16 @@ class Evaluation:
     """Give the estimators the nominal pivot, up to 1 cm wrong along each axis."""
     seed: int = 0
 
+    def __post_init__(self) -> None:
+        """Raises ReorientError for what cannot be measured."""
+        for low, high in self.ranges_deg:
+            if not 0 <= low <= high <= 180:
+                raise ReorientError(f"range {low:g} to {high:g} degrees: expected 0 <= low <= high <= 180")
+        if not all(0 <= noise < np.inf for noise in self.noise_mm):
+            raise ReorientError(f"noise {self.noise_mm} mm: expected finite numbers from 0")
+        if not (self.estimators and self.ranges_deg and self.noise_mm and self.pairs >= 1 and self.seed >= 0):
+            raise ReorientError("expected at least one estimator, range, noise and pair, and a seed from 0")
+
 
 def evaluate(config: Evaluation, out: Path, workers: int = 1) -> Iterator[tuple[int, int]]:
     """Run, yielding (pairs done, pairs in all); the rows are in ``out/rows.csv.gz`` when it ends.
@@ -125,13 +135,13 @@ def evaluate(config: Evaluation, out: Path, workers: int = 1) -> Iterator[tuple[
     for name in config.estimators:
         load_estimator(name)
     load_world(config.world)
-    if config.pairs < 1 or workers < 1:
-        raise ReorientError(f"{config.pairs} pairs, {workers} workers: expected at least 1 of each")
-    names = config.objects.open().names
-    out.mkdir(parents=True, exist_ok=True)
-    _write_config(config, out)
+    if workers < 1:
+        raise ReorientError(f"{workers} workers: expected at least 1")
+    names = _loadable(config.objects.open(), config.pairs)
+    _write_config(config, make_folder(out), workers)
     partial, finished = out / "rows.partial.csv", out / "rows.csv.gz"
     if finished.is_file():
+        partial.unlink(missing_ok=True)
         yield config.pairs, config.pairs
         return
     per_pair = len(config.ranges_deg) * len(config.noise_mm) * len(config.estimators)
@@ -147,7 +157,12 @@ def evaluate(config: Evaluation, out: Path, workers: int = 1) -> Iterator[tuple[
             file.flush()
             done += 1
             yield done, config.pairs
-    with replacing(finished) as temporary, partial.open("rb") as raw, gzip.GzipFile(temporary, "wb", mtime=0) as packed:
+    with (
+        replacing(finished) as temporary,
+        partial.open("rb") as raw,
+        temporary.open("wb") as whole,
+        gzip.GzipFile("", "wb", fileobj=whole, mtime=0) as packed,
+    ):
         packed.write((",".join(COLUMNS) + "\r\n").encode())
         shutil.copyfileobj(raw, packed)
     partial.unlink()
@@ -158,14 +173,17 @@ def read_config(path: Path) -> Evaluation:
     file = path / "config.json"
     if not file.is_file():
         raise ReorientError(f"no evaluation in {str(path)!r}: expected config.json and rows.csv.gz")
-    data = json.loads(file.read_text())["config"]
-    source = data.pop("objects")
-    for name in ("meshes", "only"):
-        source[name] = None if source[name] is None else Path(source[name])
-    data["ranges_deg"] = tuple(tuple(x) for x in data["ranges_deg"])
-    for name in ("estimators", "noise_mm"):
-        data[name] = tuple(data[name])
-    return Evaluation(ObjectSource(**source), **data)
+    try:
+        data = json.loads(file.read_text())["config"]
+        source = data.pop("objects")
+        for name in ("meshes", "only"):
+            source[name] = None if source[name] is None else Path(source[name])
+        data["ranges_deg"] = tuple(tuple(x) for x in data["ranges_deg"])
+        for name in ("estimators", "noise_mm"):
+            data[name] = tuple(data[name])
+        return Evaluation(ObjectSource(**source), **data)
+    except (ValueError, KeyError, TypeError) as error:
+        raise ReorientError(f"broken {str(file)!r} ({error}): expected what `reorient evaluate` wrote") from error
 
 
 def regenerate(config: Evaluation, row: Row) -> tuple[Pair, Renderer]:
@@ -193,7 +211,7 @@ def _measure_pair(task: tuple[Evaluation, str, int]) -> list[Row]:
                 "low_deg": low,
                 "high_deg": high,
             }
-            pivot_m = load_world(config.world).nominal_pivot_m if config.pivot else None
+            pivot_m = pair.pivot_m if config.pivot else None
             for estimator in config.estimators:
                 measured = _measure(_estimator(estimator), pair, group, pivot_m)
                 rows.append(measured | cell | {"estimator": estimator})
@@ -250,22 +268,40 @@ def _estimator(name: str) -> Estimator:
     return load_estimator(name)
 
 
-def _write_config(config: Evaluation, out: Path) -> None:
+def _loadable(objects: ObjectSet, most: int) -> tuple[str, ...]:
+    """The names, once every mesh that is going to be used has been loaded: better now than after hours."""
+    refused = []
+    for name in objects.names[:most]:
+        try:
+            objects.load(name)
+        except ReorientError as error:
+            refused.append(str(error))
+    if refused:
+        raise ReorientError(
+            f"{len(refused)} of {len(objects.names)} meshes are refused (see `reorient objects check`; name the others "
+            f"with --only), the first: {refused[0]}"
+        )
+    return objects.names
+
+
+def _write_config(config: Evaluation, out: Path, workers: int) -> None:
     file = out / "config.json"
     asked = json.loads(json.dumps(asdict(config), default=str))
     if file.is_file():
-        if json.loads(file.read_text())["config"] != asked:
+        if read_config(out) != config:
             raise ReorientError(f"{str(out)!r} holds a run of another config: expected the same, or a new folder")
         return
     command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
-    run = {"config": asked, "version": __version__, "commit": _commit(), "command": command}
+    run = {"config": asked, "version": __version__, "commit": _commit(), "command": command, "workers": workers}
     with replacing(file) as temporary:
         temporary.write_text(json.dumps(run, indent=2) + "\n")
 
 
 def _commit() -> str | None:
     try:
-        root = Path(__file__).parent
+        root = Path(__file__).parents[2]
+        if not (root / "pyproject.toml").is_file():  # installed: a repository around it is somebody else's
+            return None
         return subprocess.run(
             ["git", "describe", "--always", "--dirty"], cwd=root, capture_output=True, text=True, check=True
         ).stdout.strip()

@@ -9,6 +9,16 @@ from pathlib import Path
 from reorient.errors import ReorientError
 
 
+def make_folder(path: str | Path) -> Path:
+    """The folder, made with its parents if need be. Raises ReorientError where that cannot be."""
+    path = Path(path)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ReorientError(f"cannot make folder {str(path)!r}: {error.strerror or error}") from error
+    return path
+
+
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
     """A temporary path with the same suffix that becomes ``path`` when the block ends, and vanishes if it raises.

@@ -32,7 +32,7 @@ class ObjectSet:
         known = set(self.names)
         for name in names:
             if name not in known:
-                raise unknown_name("object", name, list(self.names)[:20])
+                raise unknown_name("object", name, list(self.names))
         return ObjectSet(self.source, tuple(names), self.load)
 
     def split(self, share: float) -> tuple["ObjectSet", "ObjectSet"]:
@@ -44,21 +44,25 @@ class ObjectSet:
 
 def generated(count: int, seed: int = 0) -> ObjectSet:
     """The first ``count`` objects of the procedural generator's sequence ``seed``."""
-    if count < 1:
-        raise ReorientError(f"{count} generated objects: expected at least 1")
+    if count < 1 or seed < 0:
+        raise ReorientError(f"{count} generated objects of seed {seed}: expected at least 1, of a seed from 0")
     names = tuple(f"generated-{seed}-{index:06d}" for index in range(count))
     return ObjectSet("generated", names, _generate)
 
 
 def folder(path: str | Path) -> ObjectSet:
-    """All meshes below a folder, named by their path without suffix. Raises ReorientError where there is none."""
+    """All meshes below a folder, named by their path, without suffix where that is enough.
+
+    Raises ReorientError where there is none.
+    """
     root = Path(path)
     if not root.is_dir():
         raise ReorientError(f"no folder {str(path)!r}: expected a folder with {', '.join(MESH_SUFFIXES)} files")
     files: dict[str, Path] = {}
     for file in sorted(root.rglob("*")):
         if file.suffix.lower() in MESH_SUFFIXES:
-            files.setdefault(file.relative_to(root).with_suffix("").as_posix(), file)
+            name = file.relative_to(root).with_suffix("").as_posix()
+            files[file.relative_to(root).as_posix() if name in files else name] = file
     if not files:
         raise ReorientError(f"no meshes in {str(path)!r}: expected {', '.join(MESH_SUFFIXES)} files")
     return ObjectSet(str(root), tuple(files), partial(_load_file, files))

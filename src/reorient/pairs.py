@@ -26,6 +26,8 @@ class Pair:
     R_camera_object: Float[np.ndarray, "3 3"]
     """The start orientation R_s."""
     placement: Placement
+    pivot_m: Float[np.ndarray, "3"]
+    """The nominal rotation centre, up to 1 cm wrong along each axis."""
 
 
 FEWEST_RETURNS = 100  # views that show less (a sheet edge on) ask nothing of an estimator, and are drawn again
@@ -48,5 +50,5 @@ def sample_pair(
         except ReorientError:  # nothing seen at all
             continue
         if min(np.count_nonzero(image.depth_m) for image in (current, goal)) >= FEWEST_RETURNS:
-            return Pair(current, goal, R_goal_current, R_start, placement)
+            return Pair(current, goal, R_goal_current, R_start, placement, placement.nominal_pivot_m(rng))
     raise ReorientError("an object shows fewer than 100 returns from everywhere: expected a larger surface")

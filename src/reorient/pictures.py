@@ -66,7 +66,9 @@ def shade_mesh(
     renderer = Renderer(mesh)
     world = load_world("benchmark")
     radius_m = float(np.linalg.norm(renderer.mesh.vertices, axis=1).max())
-    placement = Placement(world.radius_m / radius_m if world.radius_m else 1.0, world.nominal_pivot_m)
+    placement = Placement(
+        world.radius_m / radius_m if world.radius_m else 1.0, np.array([0.0, 0.0, np.mean(world.distance_m)])
+    )
     camera = world.camera.resized(2 * size_px, 2 * size_px)
     return shade(DepthImage(renderer.depth(camera, R_camera_object, placement), camera), size_px)
 

@@ -29,6 +29,10 @@ class Placement:
     center_m: Float[np.ndarray, "3"]
     """The object's origin in camera axes."""
 
+    def nominal_pivot_m(self, rng: Generator) -> Float[np.ndarray, "3"]:
+        """What a robot knows of the centre it turns the object about: up to 1 cm wrong along each axis."""
+        return self.center_m + rng.uniform(-0.01, 0.01, 3)
+
 
 @dataclass(frozen=True)
 class World:
@@ -45,11 +49,6 @@ class World:
     """Largest shift of the origin along camera x and y, either way."""
     quantum_m: float = 2.0 / 65535
     """Depth step of the 16-bit image (paper, "Simulator")."""
-
-    @property
-    def nominal_pivot_m(self) -> Float[np.ndarray, "3"]:
-        """Where the origin would be without jitter: what a robot knows of its rotation centre, to about 1 cm."""
-        return np.array([0.0, 0.0, sum(self.distance_m) / 2])
 
     def place(self, rng: Generator, mesh: trimesh.Trimesh) -> Placement:
         """Draw the size and the place of a centred mesh."""

@@ -19,6 +19,8 @@ CHUNK = 8  # objects a worker takes at once
 
 def describe(source: ObjectSource, workers: int = 1) -> Iterator[tuple[dict[str, str], int]]:
     """One row an object, in the set's order, with the number of objects in all."""
+    if workers < 1:
+        raise ReorientError(f"{workers} workers: expected at least 1")
     names = source.open().names
     tasks = [(source, names[start : start + CHUNK]) for start in range(0, len(names), CHUNK)]
     with ProcessPoolExecutor(workers) as pool:

@@ -1,7 +1,7 @@
-"""Symmetry: which rotations map a mesh to itself, the paper's object filter, and the error that knows about both.
+"""Symmetry: which rotations map a mesh to itself, and the error that divides them out.
 
 Lengths are divided by the RMS radius, the RMS distance of the surface from its centroid, so they have no unit. A mesh
-may be open, flat or in loose parts: only its surface is used, except where trimesh or a centre of mass says otherwise.
+may be open, flat or in loose parts: only its surface is used.
 """
 
 from dataclasses import dataclass
@@ -10,14 +10,13 @@ import numpy as np
 import trimesh
 from jaxtyping import Float, Int
 from scipy.ndimage import distance_transform_edt
-from scipy.spatial import QhullError, cKDTree
+from scipy.spatial import cKDTree
 
 from reorient import so3
 from reorient.meshes import check_surface
 
 SYMMETRIC_BELOW = 0.05  # of the RMS radius
 SMALLEST_TURN_RAD = np.radians(25)  # a turn below this comes near the identity for any mesh
-PAPER_FILTER_BELOW = 0.02  # of the RMS radius; see has_symmetric_stable_pose
 _SAME_RAD = np.radians(8)  # two refined candidates this near are one element
 _LARGEST_GROUP = 60  # the icosahedron's; a finer prism is a solid of revolution to the tolerance
 _VOXELS = 48
@@ -61,8 +60,12 @@ def _sample(mesh: trimesh.Trimesh, n: int, seed: int) -> tuple[Float[np.ndarray,
     return corner[:, 0] + uv[:, :1] * (corner[:, 1] - corner[:, 0]) + uv[:, 1:] * (corner[:, 2] - corner[:, 0]), face
 
 
-class _Surface:
-    """A mesh as a cloud to measure against and probes to turn, centred on its centroid, in RMS radii."""
+class Surface:
+    """A mesh as a cloud to measure against and probes to turn, centred on its centroid, in RMS radii.
+
+    Rotations, as all of its methods take them, turn the mesh about that centroid. ``principal`` has the axes of the
+    surface's second moments as rows, the shortest extent first.
+    """
 
     def __init__(self, mesh: trimesh.Trimesh, n_cloud: int = 20_000, n_probes: int = 500) -> None:
         weight = mesh.area_faces / mesh.area_faces.sum()
@@ -70,7 +73,7 @@ class _Surface:
         corners = mesh.triangles - self.center
         middles = corners.mean(axis=1)
         moment = np.einsum("f,fki,fkj->ij", weight, corners, corners) + 9 * (middles.T * weight) @ middles
-        self.principal = np.linalg.eigh(moment)[1].T  # rows
+        self.principal = np.linalg.eigh(moment)[1].T
         radius = np.sqrt(np.trace(moment) / 12)
 
         cloud, face = _sample(mesh, n_cloud, seed=0)
@@ -184,7 +187,7 @@ def rotation_group(mesh: trimesh.Trimesh, tolerance: float = SYMMETRIC_BELOW) ->
     points of the surface, less the same for the identity, over the RMS radius: details smaller than the spacing of
     such points do not count. Deterministic. Raises ReorientError for what is no surface.
     """
-    surface = _Surface(check_surface(mesh))
+    surface = Surface(check_surface(mesh))
     everywhere = so3.grid(40)
     if surface.coarse(everywhere).max() <= 3 * tolerance and surface.residuals(everywhere).max() <= tolerance:
         residual = max(0.0, float(surface.residuals(everywhere).min()))
@@ -205,7 +208,7 @@ def rotation_group(mesh: trimesh.Trimesh, tolerance: float = SYMMETRIC_BELOW) ->
     return SymmetryGroup(group, axes, False, surface.center, max(0.0, float(best)))
 
 
-def _candidates(surface: _Surface, tolerance: float) -> tuple[Rotations, Float[np.ndarray, " _"]]:
+def _candidates(surface: Surface, tolerance: float) -> tuple[Rotations, Float[np.ndarray, " _"]]:
     """The least distances over turns of at least 25 degrees, best first, and what they are."""
     grid = so3.grid(4000)
     grid = grid[so3.angle(grid) > SMALLEST_TURN_RAD]
@@ -222,7 +225,7 @@ def _candidates(surface: _Surface, tolerance: float) -> tuple[Rotations, Float[n
     return R[order], residuals[order]
 
 
-def _axis_of_revolution(surface: _Surface, found: Rotations, tolerance: float) -> Float[np.ndarray, "3"] | None:
+def _axis_of_revolution(surface: Surface, found: Rotations, tolerance: float) -> Float[np.ndarray, "3"] | None:
     """The unit axis about which every turn maps the surface to itself, if there is one."""
     rotvecs = so3.log(found)
     axes = np.concatenate([surface.principal, rotvecs / np.linalg.norm(rotvecs, axis=1, keepdims=True)])
@@ -243,7 +246,7 @@ def _axis_of_revolution(surface: _Surface, found: Rotations, tolerance: float) -
     return best
 
 
-def _finite_group(surface: _Surface, found: Rotations, tolerance: float) -> Rotations:
+def _finite_group(surface: Surface, found: Rotations, tolerance: float) -> Rotations:
     """A closed set of rotations within the tolerance, grown by one found rotation after another where that works.
 
     Nearly round things (a bottle with a small spout) have turns within the tolerance that are no symmetry, only near
@@ -262,7 +265,7 @@ def _finite_group(surface: _Surface, found: Rotations, tolerance: float) -> Rota
     return group
 
 
-def _generated(surface: _Surface, R: Rotations, tolerance: float) -> Rotations | None:
+def _generated(surface: Surface, R: Rotations, tolerance: float) -> Rotations | None:
     """The group that rotations generate, the identity first; None where none is within the tolerance."""
     while len(new := _new((R[:, None] @ R).reshape(-1, 3, 3), R)):
         # Each is put on its own symmetry before it is multiplied on, or errors would add up along the products.
@@ -302,84 +305,3 @@ def symmetric_error(
         return float(so3.angle_difference(true, estimated).min())
     a, b = estimated @ group.axes[0], true @ group.axes[0]
     return float(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), b @ a).min())
-
-
-# --- the paper's filter ---------------------------------------------------------------------------------------------
-
-
-def passes_paper_filter(mesh: trimesh.Trimesh) -> bool:
-    """Whether a mesh is non-symmetric by both tests of the paper ("Non-Symmetric Object Dataset Experiments").
-
-    Raises ReorientError for what is no surface.
-    """
-    return not has_trimesh_axis(mesh) and not has_symmetric_stable_pose(mesh)
-
-
-def has_trimesh_axis(mesh: trimesh.Trimesh) -> bool:
-    """Whether trimesh finds a mesh ``radial`` or ``spherical``: two or three equal principal moments of inertia.
-
-    What trimesh takes for the moments of an open mesh depends on the origin, which is then put in its centroid.
-    """
-    check_surface(mesh)
-    if not mesh.is_volume:
-        mesh = trimesh.Trimesh(mesh.vertices - mesh.centroid, mesh.faces, process=False)
-    return not _is_flat(mesh) and mesh.symmetry is not None
-
-
-def _is_flat(mesh: trimesh.Trimesh) -> bool:
-    """Whether a mesh encloses nothing, and so has no centre of mass and no inertia."""
-    volume = np.linalg.det(mesh.triangles - mesh.centroid).sum() / 6  # mesh.volume divides by it
-    return bool(abs(volume) <= 1e-9 * mesh.scale**3)
-
-
-def has_symmetric_stable_pose(mesh: trimesh.Trimesh, below: float = PAPER_FILTER_BELOW) -> bool:
-    """Whether a turn by 120 or 180 degrees about x, y or z of any stable pose leaves the point cloud where it was.
-
-    The clouds are samples of the surface, not renderings, so they do not depend on a camera; x, y, z pass through
-    their centroid, z up and x, y as trimesh chooses them. The distance is the mean to the nearest point, less that of
-    two samples of one surface, over the RMS radius. Shapes that are symmetric by construction score below 0.002 and
-    irregular ones 0.1; of a hundred household goods it rejects 92% of those that ``rotation_group``
-    calls symmetric (residual below 0.05) and 2% of the others.
-    """
-    surface = _Surface(check_surface(mesh))
-    pose = stable_poses(mesh)[:60, None]  # round things have a thousand
-    turns = so3.exp(np.concatenate([np.eye(3) * np.radians(120), np.eye(3) * np.radians(180)]))
-    R = (np.swapaxes(pose, -1, -2) @ turns @ pose).reshape(-1, 3, 3)
-    R = R[np.argsort(surface.coarse(R))[:60]]
-    means = surface.distances(R).mean(axis=1) - surface.distances(np.eye(3)[None]).mean()
-    return bool(means.min() < below)
-
-
-def stable_poses(mesh: trimesh.Trimesh) -> Float[np.ndarray, "k 3 3"]:
-    """The orientations, from mesh to table axes with z up, in which a mesh rests, the widest footing first.
-
-    It rests on a face of its hull that is under its centre of mass: the set of ``trimesh.poses.compute_stable_poses``
-    with sigma 0, which takes a hundred times as long and never returns when the centre of mass of an open mesh is
-    outside its hull. A mesh that encloses no volume is as heavy as its hull; a flat one rests on either side.
-    """
-    down = _resting_normals(mesh)
-    if len(down) == 0:
-        down = np.array([-1, 1])[:, None] * _Surface(mesh).principal[0]
-    z = -down / np.linalg.norm(down, axis=1, keepdims=True)
-    x = np.stack([-z[:, 1], z[:, 0], np.zeros(len(z))], axis=1)
-    x = np.where(np.linalg.norm(x, axis=1, keepdims=True) < 1e-9, [1.0, 0.0, 0.0], x)
-    x /= np.linalg.norm(x, axis=1, keepdims=True)
-    return np.stack([x, np.cross(z, x), z], axis=1)
-
-
-def _resting_normals(mesh: trimesh.Trimesh) -> Float[np.ndarray, "k 3"]:
-    """Outward normals of the hull's faces that are under the centre of mass; none for a flat mesh."""
-    try:
-        hull = mesh.convex_hull
-    except QhullError:
-        return np.zeros((0, 3))
-    if _is_flat(hull):
-        return np.zeros((0, 3))
-    center = mesh.center_mass if mesh.is_volume else hull.center_mass
-    normal, corner = np.asarray(hull.face_normals), np.asarray(hull.triangles)
-    foot = center + np.sum(normal * (corner[:, 0] - center), axis=1, keepdims=True) * normal
-    edges = np.roll(corner, -1, axis=1) - corner
-    sides = np.einsum("fi,fki->fk", normal, np.cross(edges, foot[:, None] - corner))
-    down, face = np.unique(np.round(normal, 3), axis=0, return_inverse=True)
-    stable = np.bincount(face, np.all(sides >= -1e-9 * mesh.scale**2, axis=1)) > 0
-    return down[stable][np.argsort(-np.bincount(face, hull.area_faces)[stable])]

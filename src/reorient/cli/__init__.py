@@ -1,5 +1,8 @@
 """The command line: one verb per capability. Errors are one line on standard error and exit code 2."""
 
+import contextlib
+import io
+import re
 import sys
 from typing import Any
 
@@ -15,17 +18,32 @@ VERBS = (Demo, Estimate, Orient, Capture, Objects, Evaluate, Report)
 def main(arguments: list[str] | None = None) -> None:
     """Parse and run; ends with code 0, 2 (bad input) or 130 (interrupted)."""
     try:
-        verb: Any = tyro.extras.subcommand_cli_from_dict(
-            {each.__name__.lower(): each for each in VERBS},
-            prog="reorient",
-            description="Turn a never-seen object to match a picture.",
-            args=arguments,
-            config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
-        )
-        verb.run()
+        _parse(sys.argv[1:] if arguments is None else arguments).run()
     except ReorientError as error:
         print(f"reorient: {error}", file=sys.stderr)
         sys.exit(2)
+    except OSError as error:  # a full disk, a closed pipe
+        print(f"reorient: {error.strerror or error} {error.filename or ''}".strip(), file=sys.stderr)
+        sys.exit(2)
     except KeyboardInterrupt:
-        print("reorient: interrupted; what was finished is kept", file=sys.stderr)
+        print("reorient: interrupted", file=sys.stderr)
         sys.exit(130)
+
+
+def _parse(arguments: list[str]) -> Any:
+    """The verb with its options. Raises ReorientError where tyro prints a box of several lines."""
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            return tyro.extras.subcommand_cli_from_dict(
+                {verb.__name__.lower(): verb for verb in VERBS},
+                prog="reorient",
+                description="Turn a never-seen object to match a picture.",
+                args=arguments,
+                config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+            )
+    except SystemExit as ended:
+        if ended.code != 2:
+            raise
+        words = " ".join(re.sub(r"[\u2500-\u257f]", " ", said.getvalue()).split())
+        raise ReorientError(words.partition(" For full helptext")[0] + " (see --help)") from ended

@@ -18,11 +18,13 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from trimesh import Trimesh
 from tyro.conf import Positional, subcommand
 
 from reorient.errors import ReorientError
 from reorient.evaluation import Evaluation, ObjectSource, evaluate
-from reorient.files import replacing
+from reorient.files import make_folder, replacing
+from reorient.objects import ObjectSet
 
 
 def _progress(what: str, states: Iterable[tuple[int, int]]) -> None:
@@ -37,6 +39,15 @@ def _progress(what: str, states: Iterable[tuple[int, int]]) -> None:
 def _console() -> Console:
     """As wide as the terminal; wide enough for the tables where there is none."""
     return Console() if sys.stdout.isatty() else Console(width=120)
+
+
+def _loaded(objects: ObjectSet, name: str) -> Trimesh | None:
+    """The mesh, or None with a note where it is refused: one broken file must not cost the others."""
+    try:
+        return objects.load(name)
+    except ReorientError as error:
+        print(f"reorient: left out: {error}", file=sys.stderr)
+        return None
 
 
 @dataclass(frozen=True)
@@ -55,14 +66,14 @@ class Make:
         from reorient.meshes import scale_to_radius
 
         objects = self.objects.open()
-        self.out.mkdir(parents=True, exist_ok=True)
+        make_folder(self.out)
 
         def states() -> Iterable[tuple[int, int]]:
             for done, name in enumerate(objects.names, 1):
                 path = self.out / f"{name.replace('/', '__')}.ply"
-                if not path.exists():
+                if not path.exists() and (mesh := _loaded(objects, name)) is not None:
                     with replacing(path) as temporary:
-                        scale_to_radius(objects.load(name), 1.0).export(temporary)
+                        scale_to_radius(mesh, 1.0).export(temporary)
                 yield done, len(objects.names)
 
         _progress("objects", states())
@@ -87,7 +98,7 @@ class List:
 
         objects = self.objects.open()
         for name in objects.names:
-            if not self.distinctive or is_distinctive(objects.load(name)):
+            if not self.distinctive or ((mesh := _loaded(objects, name)) is not None and is_distinctive(mesh)):
                 print(name, flush=True)
 
 
@@ -147,7 +158,10 @@ class Montage:
         if self.columns < 1 or self.size_px < 8:
             raise ReorientError(f"{self.columns} columns of {self.size_px} px: expected at least 1 of 8 px")
         objects = self.objects.open()
-        pictures = [shade_mesh(objects.load(name), None, self.size_px) for name in objects.names]
+        meshes = [_loaded(objects, name) for name in objects.names]
+        pictures = [shade_mesh(mesh, None, self.size_px) for mesh in meshes if mesh is not None]
+        if not pictures:
+            raise ReorientError("every mesh is refused: expected at least one")
         with replacing(self.out) as temporary:
             montage(pictures, self.columns).save(temporary)
         print(self.out)
@@ -174,7 +188,7 @@ class Evaluate:
     """Measure estimators: raw rows as CSV.gz, a table on screen. An interrupted run goes on where it stopped.
 
     For example: reorient evaluate out/eval --count 100 --pairs 300
-    or, own meshes: reorient evaluate out/own --meshes my_meshes --estimators gicp --ranges-deg 0 30 30 60 --noise-mm 0 1
+    or, own meshes: reorient evaluate out/own --meshes my_meshes --estimators gicp --ranges-deg 0 30 --noise-mm 1
     """
 
     out: Positional[Path]

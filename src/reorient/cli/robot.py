@@ -9,6 +9,7 @@ import numpy as np
 from tyro.conf import Positional
 
 from reorient.errors import ReorientError
+from reorient.files import make_folder
 
 if TYPE_CHECKING:
     from reorient.depth import Camera, DepthImage
@@ -21,19 +22,19 @@ T = TypeVar("T")
 @dataclass(frozen=True)
 class Frames:
     """How raw camera frames become images of one isolated object. One value serves both images, two are for CURRENT
-    and GOAL; '-' is none."""
+    and GOAL; '-' is none (--near 0.3 -)."""
 
     camera: tuple[str, ...] = ()
-    """Intrinsics JSON (reorient, Open3D or RealSense style), where the image file does not state its camera."""
-    depth_scale: float | None = None
+    """Intrinsics JSON (reorient, Open3D or RealSense style); not needed where the image file states its camera."""
+    depth_scale: tuple[float, ...] = ()
     """Metres per unit of integer depth; default: what the file states, else 0.001."""
     mask: tuple[str, ...] = ()
     """Picture or .npy, not zero on the object."""
     box: tuple[int, ...] = ()
     """Left, top, width, height in px: keep what is inside; four numbers, or eight."""
-    near: tuple[float, ...] = ()
+    near: tuple[str, ...] = ()
     """Keep returns at least this far, m."""
-    far: tuple[float, ...] = ()
+    far: tuple[str, ...] = ()
     """Keep returns at most this far, m."""
 
     def read(self, path: Path, which: int) -> "DepthImage":
@@ -45,13 +46,13 @@ class Frames:
         if len(self.box) not in (0, 4, 8):
             raise ReorientError(f"--box with {len(self.box)} numbers: expected left top width height, once or twice")
         box = self.box[4:] if which and len(self.box) == 8 else self.box[:4]
-        image = read_depth(path, self._camera(camera_file), self.depth_scale)
+        image = read_depth(path, self._camera(camera_file), _each(self.depth_scale, which, "--depth-scale"))
         return isolate(
             image,
             mask=None if mask in (None, "-") else read_mask(mask),
             box_px=(box[0], box[1], box[2], box[3]) if box else None,
-            near_m=_each(self.near, which, "--near"),
-            far_m=_each(self.far, which, "--far"),
+            near_m=_metres(self.near, which, "--near"),
+            far_m=_metres(self.far, which, "--far"),
         )
 
     def _camera(self, file: str | None) -> "Camera | None":
@@ -64,6 +65,14 @@ def _each(values: tuple[T, ...], which: int, flag: str) -> T | None:
     if len(values) > 2:
         raise ReorientError(f"{flag} with {len(values)} values: expected one for both images, or two")
     return values[which if len(values) == 2 else 0] if values else None
+
+
+def _metres(values: tuple[str, ...], which: int, flag: str) -> float | None:
+    value = _each(values, which, flag)
+    try:
+        return None if value in (None, "-") else float(value)
+    except ValueError as error:
+        raise ReorientError(f"{flag} {value}: expected metres, or '-' for none") from error
 
 
 @dataclass(frozen=True)
@@ -92,6 +101,8 @@ class StationChoice:
 
         if self.station != "rendered":
             return load_station(self.station)
+        if min(self.object_index, self.pose_seed, self.turn_deg, self.noise_mm) < 0:
+            raise ReorientError("expected an object, a seed, a turn and noise from 0 on")
         objects = generated(self.object_index + 1)
         rng = np.random.default_rng(self.pose_seed)
         sensor = randomised(self.noise_mm / 1000)
@@ -127,6 +138,7 @@ class Demo:
         from reorient.estimators import load_estimator
         from reorient.reporting import write_loop
 
+        make_folder(self.out)
         estimator = load_estimator(self.estimator)
         station: Any = StationChoice("rendered", self.object_index, self.seed, 0.0, self.noise_mm).open()
         goal, R_goal = station.capture_goal(), station.R_camera_object
@@ -138,14 +150,13 @@ class Demo:
         def tell(step: Step) -> None:
             seen_deg = np.degrees(step.estimate.angle_rad)
             print(
-                f"image {step.index + 1:3d}: {seen_deg:6.2f} degrees to go by the images, {errors_deg[-1]:6.2f} in truth"
+                f"image {step.index + 1:3d}: {seen_deg:6.2f} degrees to go by the images, {errors_deg[-1]:6.2f} truly"
             )
             if step.R_executed is not None:
                 errors_deg.append(float(np.degrees(so3.angle_difference(R_goal, station.R_camera_object))))
 
         result = orient(station, goal, estimator, subscribers=[tell])
         print(f"{'Done' if result.converged else 'Stopped'} after {result.moves} moves: {result.reason}.")
-        self.out.mkdir(parents=True, exist_ok=True)
         title = f"Generated object {self.object_index}, {self.start_deg:g} degrees away"
         for path in write_loop(self.out, goal, result, errors_deg, title):
             print(path)
@@ -193,6 +204,7 @@ def _as_data(estimate: "RotationEstimate") -> dict[str, Any]:
         "axis": so3.quat_axis(estimate.quat_wxyz).tolist(),
         "R_goal_current": estimate.R_goal_current.tolist(),
         "t_goal_current_m": estimate.t_goal_current_m.tolist(),
+        "covariance_rad2": None if estimate.covariance_rad2 is None else estimate.covariance_rad2.tolist(),
         "confidence": estimate.confidence,
         "alternatives": [{"R_goal_current": R.tolist(), "probability": p} for R, p in estimate.alternatives],
         "evidence": evidence | {"agreement": estimate.evidence.agreement},
@@ -210,7 +222,7 @@ def _in_words(estimate: "RotationEstimate") -> str:
             f"matrix     {rows}",
             f"confidence {confidence}",
             f"evidence   {evidence.fit:.0%} of points fit (rms {1000 * evidence.residual_m:.2f} mm), "
-            f"{evidence.in_front:.0%} in front, {evidence.outside:.0%} outside the silhouette, {evidence.behind:.0%} hidden",
+            f"{evidence.in_front:.0%} in front, {evidence.outside:.0%} outside, {evidence.behind:.0%} hidden",
         ]
     )
 
@@ -244,6 +256,8 @@ class Orient:
         from reorient.reporting import write_loop
 
         strategy = Proportional(self.max_steps, self.eta, float(np.radians(self.delta_deg)))
+        if self.out is not None:
+            make_folder(self.out)
         estimator = load_estimator(self.estimator)
         goal = self.frames.read(self.goal, 1)
 
@@ -251,8 +265,7 @@ class Orient:
             print(f"image {step.index + 1:3d}: {np.degrees(step.estimate.angle_rad):6.2f} degrees to go", flush=True)
 
         result = orient(self.choice.open(), goal, estimator, strategy, subscribers=[tell])
-        if self.out is not None:
-            self.out.mkdir(parents=True, exist_ok=True)
+        if self.out is not None and result.steps:
             for path in write_loop(self.out, goal, result, [], f"Station {self.choice.station}"):
                 print(path)
         if not result.converged:
@@ -268,7 +281,7 @@ class Capture:
     """
 
     out: Positional[Path]
-    """File to write: .npz or .png keep the camera."""
+    """File to write: .npz, .tif, or .png (in steps of 0.1 mm); all keep the camera."""
     choice: StationChoice = field(default_factory=StationChoice)
 
     def run(self) -> None:
@@ -282,5 +295,5 @@ class Capture:
             raise
         except Exception as error:
             raise ReorientError(f"the station failed to capture ({type(error).__name__}: {error})") from error
-        write_depth(self.out, image)
+        write_depth(self.out, image, scale_m=0.0001)
         print(self.out)

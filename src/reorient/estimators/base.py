@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from reorient import so3
-from reorient.depth import DepthImage, require_isolated
+from reorient.depth import DepthImage, is_scene, require_isolated
 from reorient.errors import ReorientError
 from reorient.estimators.evidence import Evidence
 
@@ -70,8 +70,12 @@ def check_pair(
             raise ReorientError(f"{name} is a {type(image).__name__}: expected DepthImage(depth_m, camera)")
         if (returns := np.count_nonzero(image.depth_m)) < fewest:
             raise ReorientError(f"{name} image has {returns} returns: expected at least {fewest} on the object")
-        require_isolated(image)
+        if is_scene(image):  # a tight crop of an object may fill its frame
+            require_isolated(image)
     if pivot_m is not None:
-        pivot = np.asarray(pivot_m, float)
+        try:
+            pivot = np.asarray(pivot_m, float)
+        except (TypeError, ValueError):
+            pivot = np.empty(0)
         if pivot.shape != (3,) or not np.all(np.isfinite(pivot)) or pivot[2] <= 0:
             raise ReorientError(f"pivot {pivot_m}: expected three finite metres in camera axes, in front of the camera")

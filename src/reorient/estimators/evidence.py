@@ -32,7 +32,7 @@ class Evidence:
     converged: bool = True
     """Whether the registration met its own stopping rule."""
     iterations: int = 0
-    """Iterations of the registration, all stages and starts together."""
+    """Iterations of the registration that led to the answer."""
 
     @property
     def agreement(self) -> float:

@@ -8,6 +8,7 @@ All lengths scale with the object, so that a screw and a chair are treated alike
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import small_gicp
@@ -15,19 +16,23 @@ from jaxtyping import Float
 
 from reorient import so3
 from reorient.depth import DepthImage
+from reorient.errors import ReorientError
 from reorient.estimators.base import History, RotationEstimate, check_pair
 from reorient.estimators.evidence import Evidence, View, agreement, weigh
 
-CLEAR_AGREEMENT = 0.7  # of the first alignment: no further starts
-RIVAL_MARGIN = 0.6  # a start may agree less than the first answer by this much, and still win once aligned
+CLEAR_AGREEMENT = 0.8  # of the first alignment: no further starts
+RIVAL_MARGIN = 0.4  # a start may agree less than the first answer by this much, and still win once aligned
 STARTS = 8
 FINALISTS = 4
 LARGEST_PIVOT_SHIFT = 0.2  # of the object's size; a hypothesis that moves a known pivot farther is implausible
+PIVOT_ERROR_M = 0.01  # what a known pivot is good to; where that is not small against the object it says nothing
+FEWEST_POINTS = 10  # of a cloud at its resolution
 # Neighbouring pixels share noise and small_gicp takes planes for a hundredth as uncertain as they are long: the factor
 # from the inverse Hessian to the scatter observed with 1 mm noise; without noise it is pessimistic.
 COVARIANCE_SCALE = 10.0
 
-_GRID = (lambda R: R[so3.angle(R) <= np.radians(80)])(so3.grid(3000))
+_GRID = so3.grid(3000)
+_GRID = _GRID[so3.angle(_GRID) <= np.radians(80)]
 
 
 @dataclass(frozen=True)
@@ -67,7 +72,13 @@ class GICP:
 class _Hypothesis:
     T: Float[np.ndarray, "4 4"]
     evidence: Evidence
-    covariance_rad2: Float[np.ndarray, "3 3"]
+    covariance_rad2: Float[np.ndarray, "3 3"] | None
+
+
+def _size_m(points: Float[np.ndarray, "n 3"]) -> float:
+    """Diagonal of the box around a cloud, but for a few stray points far from the rest."""
+    low, high = np.percentile(points, [1, 99], axis=0)
+    return min(float(np.linalg.norm(np.ptp(points, axis=0))), 1.5 * float(np.linalg.norm(high - low)))
 
 
 class _Alignment:
@@ -75,21 +86,27 @@ class _Alignment:
 
     def __init__(self, current: DepthImage, goal: DepthImage, pivot_m: Float[np.ndarray, "3"] | None) -> None:
         source, target = current.points(), goal.points()
-        self._size_m = max(float(np.linalg.norm(np.ptp(cloud, axis=0))) for cloud in (source, target))
-        self._clouds = {
-            stage: (
-                small_gicp.preprocess_points(source, stage.voxel * self._size_m, 10)[0],
-                *small_gicp.preprocess_points(target, stage.voxel * self._size_m, 10),
-            )
-            for stage in (COARSE, FINE)
-        }
+        self._size_m = max(_size_m(source), _size_m(target))
+        self._clouds = {stage: self._prepared(stage, source, target) for stage in (COARSE, FINE)}
         self._views = View(current, 200), View(goal, 200)
-        self._pivot_m = pivot_m
-        # Without a pivot the turning points are guessed: behind the middle of what is seen.
-        behind = np.array([0.0, 0.0, 0.12 * self._size_m])
-        self._turning = (
-            (source.mean(axis=0) + behind, target.mean(axis=0) + behind) if pivot_m is None else (pivot_m, pivot_m)
-        )
+        self._pivot_m = pivot_m if pivot_m is not None and 0.15 * self._size_m > PIVOT_ERROR_M else None
+        if self._pivot_m is not None:
+            self._turning = self._pivot_m, self._pivot_m
+        else:  # guess where the object turns: behind the middle of what is seen
+            behind = np.array([0.0, 0.0, 0.12 * self._size_m])
+            self._turning = source.mean(axis=0) + behind, target.mean(axis=0) + behind
+
+    def _prepared(self, stage: Stage, source: np.ndarray, target: np.ndarray) -> tuple[Any, Any, Any]:
+        """Both clouds at one resolution, and the target's tree."""
+        voxel_m = stage.voxel * self._size_m
+        (source_cloud, _), cloud_and_tree = (small_gicp.preprocess_points(x, voxel_m, 10) for x in (source, target))
+        for name, cloud in (("current", source_cloud), ("goal", cloud_and_tree[0])):
+            if cloud.size() < FEWEST_POINTS:
+                raise ReorientError(
+                    f"{name} image has {cloud.size()} distinct points at a resolution of {1000 * voxel_m:.1f} mm: "
+                    f"expected at least {FEWEST_POINTS}; remove stray returns (--near, --far) or move the camera closer"
+                )
+        return source_cloud, *cloud_and_tree
 
     def start(self, R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4 4"]:
         """The transform that turns about the turning point by R."""
@@ -124,18 +141,20 @@ class _Alignment:
         T = fine.T_target_source
         R = so3.matrix_from_quat(so3.quat_from_matrix(T[:3, :3]))  # small_gicp's products drift from SO(3)
         T = np.block([[R, T[:3, 3:]], [np.zeros((1, 3)), np.ones((1, 1))]])
+        determined = bool(fine.num_inliers > 6 and np.linalg.cond(fine.H) < 1e12)
         evidence = weigh(
             *self._views,
             R,
             T[:3, 3],
             FINE_TOLERANCE * self._size_m,
-            fine.converged,
+            fine.converged and determined,
             coarse.iterations + fine.iterations,
         )
-        # small_gicp perturbs on the right, (rotation, translation): turn into the goal's camera axes
-        spread = 2 * fine.error / max(fine.num_inliers - 6, 1)
-        covariance = COVARIANCE_SCALE * spread * np.linalg.pinv(fine.H)[:3, :3]
-        return _Hypothesis(T, evidence, R @ covariance @ R.T)
+        covariance = None
+        if determined:  # small_gicp perturbs on the right, (rotation, translation): turn into the goal's camera axes
+            spread = 2 * fine.error / (fine.num_inliers - 6)
+            covariance = COVARIANCE_SCALE * spread * R @ np.linalg.inv(fine.H)[:3, :3] @ R.T
+        return _Hypothesis(T, evidence, covariance)
 
     def _align(self, stage: Stage, T: Float[np.ndarray, "4 4"]) -> small_gicp.RegistrationResult:
         source, target, tree = self._clouds[stage]

@@ -13,7 +13,7 @@ from reorient.estimators.evidence import View, weigh
 
 
 class ICP:
-    """Point-to-point ICP from "no rotation", the clouds' centroids removed ("Non-Symmetric Object Dataset Experiments")."""
+    """Point-to-point ICP from "no rotation", the centroids removed ("Non-Symmetric Object Dataset Experiments")."""
 
     def __init__(self, max_points: int = 1500, max_iterations: int = 100, threshold: float = 1e-10) -> None:
         self._max_points = max_points

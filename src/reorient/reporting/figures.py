@@ -1,4 +1,4 @@
-"""Figures: error against angle, cumulative errors, the course of a loop. One style, one colour for an estimator."""
+"""Figures: error against angle, its distribution, the course of a loop. One style, one colour for an estimator."""
 
 import base64
 import io
@@ -82,33 +82,39 @@ def error_by_angle(rows: Sequence[Row]) -> str:
 
 def cumulative_errors(rows: Sequence[Row]) -> str:
     """The share of pairs with an error below x, symmetry-aware dashed; panels: range by noise. An SVG data URI."""
-    noise_mm, low_deg, high_deg = (numbers(rows, column) for column in ("noise_mm", "low_deg", "high_deg"))
     plain_deg, aware_deg = numbers(rows, "error_deg"), numbers(rows, "error_sym_deg")
-    names = np.array([row["estimator"] for row in rows])
     colours = _colours(estimators(rows))
-    least_deg = _least_deg(plain_deg)
-    levels, ranges = np.unique(noise_mm), np.unique(np.stack([low_deg, high_deg], axis=-1), axis=0)
     with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(_width_inches(len(levels)), 2.6 * len(ranges) + 0.5))
-        grid = figure.subplots(len(ranges), len(levels), squeeze=False, sharex=True, sharey=True)
-        for (row, column), axes in np.ndenumerate(grid):
-            (low, high), level = ranges[row], levels[column]
-            axes.axvline(5, color="#b4bac6", lw=0.9, zorder=0)
-            axes.set(
-                title=f"{low:g}–{high:g}°, noise {level:g} mm", xscale="log", xlim=(least_deg, 180), ylim=(0, 1.01)
-            )
-            axes.xaxis.set_major_formatter(_degrees())
-            axes.yaxis.set_major_formatter(FuncFormatter(lambda share, _: f"{share:.0%}"))
-            for name, colour in colours.items():
-                mine = (noise_mm == level) & (low_deg == low) & (high_deg == high) & (names == name)
-                if mine.any():
-                    _cumulate(axes, plain_deg[mine], color=colour)
-                    _cumulate(axes, aware_deg[mine], color=colour, linestyle=_DASHES, linewidth=1.1)
-        for axes in grid[:, 0]:
-            axes.set_ylabel("share of pairs below")
-        for axes in grid[-1]:
-            axes.set_xlabel("error")
+        figure, panels = _cells(rows, _least_deg(plain_deg), "share of pairs below")
+        for axes, members in panels:
+            axes.set_ylim(0, 1.01)
+            for name, mine in members.items():
+                _cumulate(axes, plain_deg[mine], color=colours[name])
+                _cumulate(axes, aware_deg[mine], color=colours[name], linestyle=_DASHES, linewidth=1.1)
         _legend(figure, colours, [Line2D([], [], color="#5b6270", ls=_DASHES, lw=1.1, label="symmetry-aware")])
+        return _svg(figure)
+
+
+def error_histograms(rows: Sequence[Row]) -> str:
+    """The share of pairs in logarithmic bins of the plain error, panels as of ``cumulative_errors``: an SVG data URI.
+
+    The first bin also holds the smaller errors, so that the bars of an estimator add up to all of its pairs.
+    """
+    error_deg = numbers(rows, "error_deg")
+    colours = _colours(estimators(rows))
+    least_deg = _least_deg(error_deg)
+    with mpl.rc_context(_STYLE):
+        figure, panels = _cells(rows, least_deg, "share of pairs")
+        most = max(np.count_nonzero(mine) for _, members in panels for mine in members.values())
+        edges = np.geomspace(least_deg, 180, int(np.clip(2 * np.sqrt(most), 8, 24)) + 1)
+        for axes, members in panels:
+            for name, mine in members.items():
+                count, _ = np.histogram(np.clip(error_deg[mine], least_deg, 180), edges)
+                share = count / count.sum()
+                axes.stairs(share, edges, fill=True, color=colours[name], alpha=0.13, lw=0)
+                axes.stairs(share, edges, color=colours[name], lw=1.4, zorder=3)  # above the grid and every filling
+        panels[0][0].set_ylim(bottom=0)
+        _legend(figure, colours)
         return _svg(figure)
 
 
@@ -145,6 +151,32 @@ def growing_curve(predicted_deg: Sequence[float], true_deg: Sequence[float], siz
             canvas.draw()
             frames.append(Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB"))
         return frames
+
+
+def _cells(
+    rows: Sequence[Row], least_deg: float, ylabel: str
+) -> tuple[Figure, list[tuple[Axes, dict[str, np.ndarray]]]]:
+    """A panel for each range (down) and noise (across), errors along x, shares along y, and whose rows belong there."""
+    noise_mm, low_deg, high_deg = (numbers(rows, column) for column in ("noise_mm", "low_deg", "high_deg"))
+    names = np.array([row["estimator"] for row in rows])
+    levels, ranges = np.unique(noise_mm), np.unique(np.stack([low_deg, high_deg], axis=-1), axis=0)
+    figure = Figure(figsize=(_width_inches(len(levels)), 2.6 * len(ranges) + 0.5))
+    grid = figure.subplots(len(ranges), len(levels), squeeze=False, sharex=True, sharey=True)
+    panels = []
+    for (row, column), axes in np.ndenumerate(grid):
+        (low, high), level = ranges[row], levels[column]
+        axes.axvline(5, color="#b4bac6", lw=0.9, zorder=0)
+        axes.set(title=f"{low:g}–{high:g}°, noise {level:g} mm", xscale="log", xlim=(least_deg, 180))
+        axes.xaxis.set_major_formatter(_degrees())
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda share, _: f"{share:.0%}"))
+        cell = (noise_mm == level) & (low_deg == low) & (high_deg == high)
+        members = {name: cell & (names == name) for name in estimators(rows)}
+        panels.append((axes, {name: mine for name, mine in members.items() if mine.any()}))
+    for axes in grid[:, 0]:
+        axes.set_ylabel(ylabel)
+    for axes in grid[-1]:
+        axes.set_xlabel("error")
+    return figure, panels
 
 
 def _width_inches(columns: int) -> float:

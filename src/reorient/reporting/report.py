@@ -21,6 +21,7 @@ _MAIN = 3  # estimators whose pairs are shown
 _SHOWN = 4  # pairs at each end
 _PANEL_PX = 240
 _BY_ANGLE = "Plain error in bins of the start angle; bins of fewer than five pairs are left out."
+_HISTOGRAMS = "Plain error in logarithmic bins, the line at 5°; the first bin also holds all smaller errors."
 _CUMULATIVE = (
     "The line at 5° marks the share that the table gives. Where dashes leave the line, symmetry is the reason."
 )
@@ -35,9 +36,11 @@ def write_report(folder: str | Path) -> Path:
     rows, config = read_rows(folder), read_config(folder)
     objects = len({row["object"] for row in rows})
     by_angle, cumulative = figures.error_by_angle(rows), figures.cumulative_errors(rows)
+    histograms = figures.error_histograms(rows)
     sections = {
         "Results": html_table(rows),
         "Error against angle": inline_image(by_angle, "error against the start angle", _BY_ANGLE),
+        "Error histograms": inline_image(histograms, "histograms of the error", _HISTOGRAMS),
         "Cumulative errors": inline_image(cumulative, "share of pairs below an error", _CUMULATIVE),
         "Best and worst pairs": _pairs(rows, config),
         "How it was run": f"<pre>{escape((folder / 'config.json').read_text())}</pre>",

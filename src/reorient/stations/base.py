@@ -10,10 +10,7 @@ from reorient.depth import DepthImage
 
 @runtime_checkable
 class Station(Protocol):
-    """A robot cell, real or simulated. Failures are raised, as StationError or whatever the driver raises.
-
-    ``reachable(R_step) -> bool`` may be added: whether a step can be made from here.
-    """
+    """A robot cell, real or simulated. Failures are raised, as StationError or whatever the driver raises."""
 
     @property
     def pivot_m(self) -> Float[np.ndarray, "3"] | None:

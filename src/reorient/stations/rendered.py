@@ -37,12 +37,8 @@ class RenderedStation:
         self._rng = rng
         self.placement = world.place(rng, self._renderer.mesh)
         self.R_camera_object = so3.sample_uniform(rng, 1)[0] if R_camera_object is None else R_camera_object
+        self.pivot_m = self.placement.nominal_pivot_m(rng)
         self._time_s = 0.0
-
-    @property
-    def pivot_m(self) -> Float[np.ndarray, "3"]:
-        """The nominal place of the object, up to 1 cm from its true centre."""
-        return self._world.nominal_pivot_m
 
     def capture(self) -> DepthImage:
         """The object as it is now, behind the gripper's rectangle."""
