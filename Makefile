@@ -2,16 +2,13 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test test-slow lint clean
+.PHONY: demo test lint clean
 
 demo: .venv/base
 	$(BIN)/reorient demo --out out/demo
 
 test: .venv/dev
 	$(BIN)/pytest -n auto
-
-test-slow: .venv/dev
-	$(BIN)/pytest -m slow
 
 lint: .venv/dev
 	$(BIN)/ruff check .
