@@ -201,3 +201,23 @@ def test_help_and_light_imports():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert "For example: reorient estimate" in done.stdout
+
+
+def test_usage_errors_are_one_line(capsys, tmp_path):
+    assert "Required options" in refused(capsys, "estimate")
+    assert "--nope" in refused(capsys, "estimate", "a", "b", "--nope", 3)
+    assert "Available subcommands: demo, estimate" in refused(capsys, "estmate")
+    assert "--pairs" in refused(capsys, "evaluate", tmp_path, "--pairs", "many")
+    assert "--far x: expected metres" in refused(capsys, "estimate", _depth(tmp_path), _depth(tmp_path), "--far", "x")
+
+
+def test_outputs_that_cannot_be_made_are_refused_before_anything_moves(capsys, tmp_path):
+    (tmp_path / "file").write_text("")
+    assert "cannot make folder" in refused(capsys, "demo", "--out", tmp_path / "file")
+    assert "cannot make folder" in refused(capsys, "objects", "make", tmp_path / "file", "--count", 1)
+    assert "cannot make folder" in refused(capsys, "evaluate", tmp_path / "file", "--count", 1, "--pairs", 1)
+
+
+def _depth(folder: Path) -> Path:
+    write_depth(folder / "ball.npz", DepthImage(np.pad(np.full((20, 20), 0.6), 54), WORLD.camera))
+    return folder / "ball.npz"

@@ -172,3 +172,32 @@ def test_rendered_station(mesh):
     assert np.count_nonzero(station.capture_goal().depth_m) > np.count_nonzero(first.depth_m)  # no rectangle on goals
     with pytest.raises(StationError, match="expected a \\(3, 3\\) rotation matrix"):
         station.rotate(2 * np.eye(3))
+
+
+def test_history_takes_earlier_images_to_now(cell):
+    station, goal, R_goal = cell
+    seen: list = []
+
+    class Remembering(Oracle):
+        def estimate(self, current, goal, pivot_m=None, history=()):
+            seen.append((station.R_camera_object, list(history)))
+            return super().estimate(current, goal)
+
+    result = orient(station, goal, Remembering(station, R_goal), Proportional(max_steps=4))
+    for R_now, history in seen:
+        assert [image for image, _ in history] == [step.image for step in result.steps[: len(history)]]
+        for (_, R_now_then), (R_then, _) in zip(history, seen, strict=False):
+            np.testing.assert_allclose(R_now_then @ R_then, R_now, atol=1e-12)
+    assert [len(history) for _, history in seen] == [0, 1, 2, 3]
+
+
+def test_bad_stations_and_pivots_are_refused_before_anything_moves(cell, unchecked):
+    station, goal, R_goal = cell
+    before = station.R_camera_object
+    with pytest.raises(ReorientError, match="expected an object with estimate"):
+        orient(station, goal, "gicp")
+    with pytest.raises(ReorientError, match="expected an object with capture, rotate, pivot_m"):
+        orient(RenderedStation, goal, Oracle(station, R_goal))
+    with pytest.raises(ReorientError, match="pivot .* expected three finite metres"):
+        orient(station, goal, Oracle(station, R_goal), pivot_m=np.zeros(2))
+    np.testing.assert_array_equal(station.R_camera_object, before)

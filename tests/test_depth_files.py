@@ -247,3 +247,23 @@ def test_places_that_cannot_be_written_are_refused(tmp_path, image):
     (tmp_path / "folder.png").mkdir()
     assert "it is a folder, expected a file name" in refusal(write_depth, tmp_path / "folder.png", image)
     assert "cannot write depth as 'depth.jpg': expected one of" in refusal(write_depth, tmp_path / "depth.jpg", image)
+
+
+def test_a_scale_is_for_integers_only(tmp_path, camera):
+    depth_m = np.full((camera.height, camera.width), 0.6, np.float32)
+    np.save(tmp_path / "float.npy", depth_m)
+    np.save(tmp_path / "integer.npy", (10000 * depth_m).astype(np.uint16))
+    for name in ("float.npy", "integer.npy"):
+        np.testing.assert_allclose(read_depth(tmp_path / name, camera, scale_m=0.0001).depth_m, 0.6, atol=1e-4)
+
+
+def test_intrinsic_matrix_by_rows_too(tmp_path):
+    flat, rows = [110, 0, 0, 0, 104, 0, 45, 33, 1], [[110, 0, 45], [0, 104, 33], [0, 0, 1]]
+    cameras = []
+    for matrix in (flat, rows):
+        (tmp_path / "camera.json").write_text(json.dumps({"width": 96, "height": 72, "intrinsic_matrix": matrix}))
+        cameras.append(read_camera(tmp_path / "camera.json"))
+    assert cameras[0] == cameras[1] == Camera(96, 72, 110.0, 104.0, 45.5, 33.5)
+    (tmp_path / "camera.json").write_text(json.dumps({"width": 9, "height": 7, "intrinsic_matrix": [1, 2, 0] * 3}))
+    with pytest.raises(ReorientError, match="expected .fx 0 0 0 fy 0 cx cy 1"):
+        read_camera(tmp_path / "camera.json")

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from reorient.errors import ReorientError
+from reorient.evaluation import ObjectSource
 from reorient.objects import folder, generated, package
 
 
@@ -54,3 +55,13 @@ def test_refusals(tmp_path):
         generated(0)
     with pytest.raises(ReorientError, match="unknown object 'x'"):
         generated(3).only(["x"])
+
+
+def test_names_with_spaces_and_like_stems(tmp_path, mesh):
+    mesh.export(tmp_path / "my part.stl")
+    mesh.export(tmp_path / "my part.ply")
+    objects = folder(tmp_path)
+    assert len(objects.names) == 2
+    assert "my part" in objects.names
+    (tmp_path / "only.txt").write_text("my part\n\n")
+    assert ObjectSource(meshes=tmp_path, only=tmp_path / "only.txt").open().names == ("my part",)

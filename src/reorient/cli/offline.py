@@ -4,8 +4,9 @@ import csv
 import gzip
 import io
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Annotated
 
@@ -27,12 +28,13 @@ from reorient.files import make_folder, replacing
 from reorient.objects import ObjectSet
 
 
-def _progress(what: str, states: Iterable[tuple[int, int]]) -> None:
+def _progress(what: str, states: Iterator[tuple[int, int]]) -> None:
     """Draw (done, all) states as a bar with the time left."""
+    first = next(states)  # bad input is refused before there is a bar
     columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task(what, total=None)
-        for done, total in states:
+        for done, total in chain([first], states):
             bar.update(task, completed=done, total=total)
 
 
@@ -68,7 +70,7 @@ class Make:
         objects = self.objects.open()
         make_folder(self.out)
 
-        def states() -> Iterable[tuple[int, int]]:
+        def states() -> Iterator[tuple[int, int]]:
             for done, name in enumerate(objects.names, 1):
                 path = self.out / f"{name.replace('/', '__')}.ply"
                 if not path.exists() and (mesh := _loaded(objects, name)) is not None:
@@ -121,7 +123,7 @@ class Check:
 
         rows: list[dict[str, str]] = []
 
-        def states() -> Iterable[tuple[int, int]]:
+        def states() -> Iterator[tuple[int, int]]:
             for row, total in describe(self.objects, self.workers):
                 rows.append(row)
                 yield len(rows), total
