@@ -8,9 +8,6 @@ The goal image is unoccluded, each current image bears a new rectangle, the pivo
 and the object turns exactly as asked. Errors are plain: name objects without symmetry.
 """
 
-import csv
-import gzip
-import io
 import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,7 +18,7 @@ from rich.progress import track
 
 from reorient import load_estimator, orient, so3
 from reorient.evaluation import ObjectSource
-from reorient.files import make_folder, replacing
+from reorient.files import make_folder, write_table
 from reorient.rendering import load_world
 from reorient.sensing import randomised
 from reorient.stations.rendered import RenderedStation
@@ -72,12 +69,7 @@ def main(config: ClosedLoop) -> None:
     names = sorted(config.source.open().names, key=lambda name: zlib.crc32(f"loop {name}".encode()))[: config.objects]
     cells = [(name, noise, index) for noise in config.noise_mm for name in names for index in range(config.trials)]
     rows = [trial(config, *cell) for cell in track(cells, "loops")]
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, list(rows[0]))
-    writer.writeheader()
-    writer.writerows(rows)
-    with replacing(config.out) as temporary:
-        temporary.write_bytes(gzip.compress(text.getvalue().encode(), mtime=0))
+    write_table(config.out, rows)
     for noise in config.noise_mm:
         chosen = [row for row in rows if row["noise_mm"] == noise]
         final = np.array([float(str(row["final_deg"])) for row in chosen])

@@ -1,10 +1,14 @@
 """Files that are whole or absent: written to a temporary neighbour, then renamed."""
 
+import csv
+import gzip
+import io
 import os
 import secrets
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from reorient.errors import ReorientError
 
@@ -38,3 +42,13 @@ def replacing(path: str | Path) -> Iterator[Path]:
         raise ReorientError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def write_table(path: str | Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Rows with the same columns as gzip-compressed CSV; the same rows make the same bytes."""
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, list(rows[0]))
+    writer.writeheader()
+    writer.writerows(rows)
+    with replacing(path) as temporary:
+        temporary.write_bytes(gzip.compress(text.getvalue().encode(), mtime=0))

@@ -1,8 +1,5 @@
 """The offline verbs: objects (make, list, check, montage), evaluate, report."""
 
-import csv
-import gzip
-import io
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -24,7 +21,7 @@ from tyro.conf import Positional, subcommand
 
 from reorient.errors import ReorientError
 from reorient.evaluation import Evaluation, ObjectSource, evaluate
-from reorient.files import make_folder, replacing
+from reorient.files import make_folder, replacing, write_table
 from reorient.objects import ObjectSet
 
 
@@ -130,12 +127,7 @@ class Check:
 
         _progress("objects", states())
         if self.out is not None:
-            text = io.StringIO(newline="")
-            writer = csv.DictWriter(text, list(rows[0]))
-            writer.writeheader()
-            writer.writerows(rows)
-            with replacing(self.out) as temporary:
-                temporary.write_bytes(gzip.compress(text.getvalue().encode(), mtime=0))
+            write_table(self.out, rows)
         print_statistics(rows, _console())
 
 
