@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -148,7 +149,7 @@ def evaluate(config: Evaluation, out: Path, workers: int = 1) -> Iterator[tuple[
     done = _whole_pairs(partial, per_pair)
     tasks = [(config, names[index % len(names)], index) for index in range(done, config.pairs)]
     yield done, config.pairs
-    with ProcessPoolExecutor(workers) as pool, partial.open("a", newline="") as file:
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool, partial.open("a", newline="") as file:
         results = pool.map(_measure_pair, tasks) if workers > 1 else map(_measure_pair, tasks)
         for rows in results:
             buffer = io.StringIO()

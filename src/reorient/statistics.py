@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 
 import numpy as np
 import trimesh
@@ -23,7 +24,7 @@ def describe(source: ObjectSource, workers: int = 1) -> Iterator[tuple[dict[str,
         raise ReorientError(f"{workers} workers: expected at least 1")
     names = source.open().names
     tasks = [(source, names[start : start + CHUNK]) for start in range(0, len(names), CHUNK)]
-    with ProcessPoolExecutor(workers) as pool:
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         for rows in pool.map(_describe_chunk, tasks) if workers > 1 else map(_describe_chunk, tasks):
             for row in rows:
                 yield row, len(names)
