@@ -166,6 +166,37 @@ def test_an_image_is_the_crop_of_a_larger_one(center_m, mesh, camera):
     assert np.array_equal(renderer.depth(camera, ROTATIONS[1], placement), large[100:172, 150:246])
 
 
+@pytest.mark.parametrize("center_m", SHIFTS_M.values(), ids=SHIFTS_M)
+@pytest.mark.parametrize("body", ["mesh", *BODIES])
+def test_rays_left_out_would_have_hit_nothing(body, center_m, mesh, camera, monkeypatch):
+    """To the bit: the same images as from rays through every pixel."""
+    renderer, placement = Renderer(BODIES.get(body, mesh)), Placement(0.1, np.array(center_m))
+
+    def images():
+        return [
+            image
+            for R in so3.sample_uniform(np.random.default_rng(3), 10)
+            for image in (
+                renderer.depth(camera, R, placement),
+                *renderer.depth_and_incidence(camera, R, placement),
+                renderer.depth(camera.resized(37, 400), R, placement),
+            )
+        ]
+
+    fewer = images()
+    monkeypatch.setattr(
+        "reorient.rendering._cells_within", lambda camera, _: (0, np.arange(camera.height * camera.width))
+    )
+    assert all(np.array_equal(a, b) for a, b in zip(fewer, images(), strict=True))
+
+
+def test_few_rays_are_left_out_in_vain(mesh, camera):
+    renderer = Renderer(mesh.convex_hull)
+    for R in ROTATIONS:
+        pixels, _, _ = renderer._rays(camera, R, PLACEMENT)
+        assert len(pixels) < 1.15 * np.count_nonzero(renderer.depth(camera, R, PLACEMENT))
+
+
 @pytest.mark.parametrize(
     ("where", "seen"),
     [("left", True), ("larger than the image", True), ("outside", False), ("behind", False)],

@@ -97,22 +97,27 @@ class DepthImage:
                 f"depth of shape {depth_m.shape}: expected (height, width) = ({self.camera.height}, "
                 f"{self.camera.width}) as in its camera"
             )
-        if not np.all(np.isfinite(depth_m)):
+        lowest, highest = depth_m.min(), depth_m.max()  # NaN where any pixel is
+        if not np.isfinite([lowest, highest]).all():
             raise ReorientError(
                 f"depth has {np.count_nonzero(~np.isfinite(depth_m))} NaN or infinite pixels: expected 0 for no return "
                 "(numpy.nan_to_num)"
             )
-        if depth_m.min() < 0:
-            raise ReorientError(f"depth as low as {depth_m.min():.3g} m: expected no negative value, 0 for no return")
-        if not depth_m.any():
+        if lowest < 0:
+            raise ReorientError(f"depth as low as {lowest:.3g} m: expected no negative value, 0 for no return")
+        if highest == 0:
             raise ReorientError("depth is 0 everywhere: expected returns from the object (empty frame or empty mask?)")
-        median = float(np.median(depth_m[depth_m > 0]))
-        if median < NEAREST_M:
-            raise ReorientError(f"median depth is {median:.2g} m: expected metres, at least {NEAREST_M} (wrong scale?)")
-        if median > MILLIMETRES_ABOVE:
-            raise ReorientError(
-                f"median depth is {median:.0f}: this looks like millimetres, expected metres (times 0.001)"
-            )
+        returns = depth_m[depth_m > 0]
+        if returns.min() < NEAREST_M or highest > MILLIMETRES_ABOVE:  # else the median, dearer, is neither
+            median = float(np.median(returns))
+            if median < NEAREST_M:
+                raise ReorientError(
+                    f"median depth is {median:.2g} m: expected metres, at least {NEAREST_M} (wrong scale?)"
+                )
+            if median > MILLIMETRES_ABOVE:
+                raise ReorientError(
+                    f"median depth is {median:.0f}: this looks like millimetres, expected metres (times 0.001)"
+                )
         object.__setattr__(self, "depth_m", depth_m.astype(np.float32))
 
     @property

@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy.random import Generator
 
 from reorient.depth import Camera
@@ -18,6 +18,8 @@ from reorient.errors import unknown_name
 from reorient.meshes import bounding_radius, center
 
 _HULL_ABOVE = 200  # meshes with more vertices are framed by those of their convex hull
+_SLOPES = np.tan(np.pi * (np.arange(12) - 5.5) / 12)  # of 12 pairs of lines around a silhouette, none of them level
+_MARGIN_PX = 0.1  # far more than rays in single precision err by
 
 
 @dataclass(frozen=True)
@@ -93,29 +95,28 @@ class Renderer:
         self, camera: Camera, R_camera_object: Float[np.ndarray, "3 3"], placement: Placement
     ) -> Float[np.ndarray, "height width"]:
         """Exact depth, float32 metres, 0 where no surface is hit."""
+        pixels, origin, directions = self._rays(camera, R_camera_object, placement)
         depth_m = np.zeros((camera.height, camera.width), np.float32)
-        window, origin, directions = self._rays(camera, R_camera_object, placement)
-        if len(directions):
+        if len(pixels):
             distance = self._scene.run(origin, directions, query="DISTANCE")
-            depth_m[window] = np.where(distance < 1e30, distance * placement.scale_m, 0).reshape(depth_m[window].shape)
+            distance[distance > 1e30] = 0
+            depth_m.reshape(-1)[pixels] = distance * placement.scale_m
         return depth_m
 
     def depth_and_incidence(
         self, camera: Camera, R_camera_object: Float[np.ndarray, "3 3"], placement: Placement
     ) -> tuple[Float[np.ndarray, "height width"], Float[np.ndarray, "height width"]]:
         """Depth as above, and |cos| of the angle between the ray and the surface normal (0 where nothing is hit)."""
+        pixels, origin, directions = self._rays(camera, R_camera_object, placement)
         depth_m = np.zeros((camera.height, camera.width), np.float32)
         cosine = np.zeros_like(depth_m)
-        window, origin, directions = self._rays(camera, R_camera_object, placement)
-        if len(directions):
+        if len(pixels):
             hits = self._scene.run(origin, directions, output=1)
-            hit = hits["primID"] >= 0
-            normal = hits["Ng"]
-            length = np.linalg.norm(normal, axis=1) * np.linalg.norm(directions, axis=1)
-            cos = np.abs(np.sum(normal * directions, axis=1)) / np.where(length > 0, length, 1)
-            shape = depth_m[window].shape
-            depth_m[window] = np.where(hit, hits["tfar"] * placement.scale_m, 0).reshape(shape)
-            cosine[window] = np.where(hit, cos, 0).reshape(shape)
+            hit = np.flatnonzero(hits["primID"] >= 0)
+            normal, ray = hits["Ng"][hit].T, directions[hit].T
+            length = np.linalg.norm(normal, axis=0) * np.linalg.norm(ray, axis=0)
+            depth_m.reshape(-1)[pixels[hit]] = hits["tfar"][hit] * placement.scale_m
+            cosine.reshape(-1)[pixels[hit]] = np.abs(np.sum(normal * ray, axis=0)) / np.where(length > 0, length, 1)
         return depth_m, cosine
 
     def shadowed(
@@ -129,26 +130,37 @@ class Renderer:
         surface = (points_m - placement.center_m) @ R_camera_object / placement.scale_m
         source = (projector_m - placement.center_m) @ R_camera_object / placement.scale_m
         towards = surface - source  # from the projector: lit if the first hit is the point itself
-        distance = self._scene.run(
-            np.broadcast_to(source, surface.shape).astype(np.float32), towards.astype(np.float32), query="DISTANCE"
-        )
+        origin = np.broadcast_to(source.astype(np.float32), towards.shape)
+        distance = self._scene.run(origin, towards.astype(np.float32), query="DISTANCE")
         return distance < 1 - 2e-3
 
     def _rays(
         self, camera: Camera, R_camera_object: Float[np.ndarray, "3 3"], placement: Placement
-    ) -> tuple[tuple[slice, slice], np.ndarray, np.ndarray]:
-        """The image window around the object, and for its pixels the rays in the mesh's frame and unit."""
-        outline = self._outline @ R_camera_object.T * placement.scale_m + placement.center_m
-        top, left, bottom, right = 0, 0, camera.height, camera.width
-        if outline[:, 2].min() > 0:
-            pixels = camera.project(outline)
-            low = np.maximum(np.floor(pixels.min(axis=0)), 0).astype(int)
-            high = np.minimum(np.ceil(pixels.max(axis=0)), (right, bottom)).astype(int)
-            (left, top), (right, bottom) = low, np.maximum(high, low)
-        window = slice(top, bottom), slice(left, right)
+    ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+        """The pixels (row by row) that may see the object, and their rays in the mesh's frame and unit."""
+        outline_m = placement.scale_m * R_camera_object @ self._outline.T + placement.center_m[:, None]
+        first_row, cells = _cells_within(camera, outline_m)
+        rows = cells[-1] // camera.width + 1 if len(cells) else 0
+        x = ((np.arange(camera.width) + 0.5 - camera.cx) / camera.fx).astype(np.float32)
+        y = ((np.arange(first_row, first_row + rows) + 0.5 - camera.cy) / camera.fy).astype(np.float32)
         R = R_camera_object.astype(np.float32)  # its rows are the camera axes in the object's frame
-        x = ((np.arange(left, right) + 0.5 - camera.cx) / camera.fx).astype(np.float32)
-        y = ((np.arange(top, bottom) + 0.5 - camera.cy) / camera.fy).astype(np.float32)
-        directions = ((y[:, None] * R[1] + R[2])[:, None] + (x[:, None] * R[0])[None]).reshape(-1, 3)
+        grid = (np.outer(R[1], y) + R[2][:, None])[:, :, None] + np.outer(R[0], x)[:, None]
+        directions = np.take(grid.reshape(3, -1), cells, axis=1).T
         origin = (-placement.center_m @ R_camera_object / placement.scale_m).astype(np.float32)
-        return window, np.broadcast_to(origin, directions.shape).copy(), directions
+        return first_row * camera.width + cells, np.broadcast_to(origin, directions.shape), directions
+
+
+def _cells_within(camera: Camera, outline_m: Float[np.ndarray, "3 n"]) -> tuple[int, Int[np.ndarray, " k"]]:
+    """The first image row, and counted from its start the pixels, in a polygon of 26 sides around the outline."""
+    x, y, z = outline_m
+    if z.min() < 1e-3:  # beside or around the camera: it may be seen anywhere
+        return 0, np.arange(camera.height * camera.width)
+    u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+    top, bottom = np.clip([np.floor(v.min() - _MARGIN_PX), np.ceil(v.max() + _MARGIN_PX)], 0, camera.height).astype(int)
+    across = np.multiply.outer(_SLOPES, v) + u  # u of the line through a vertex, in row 0
+    margin = _MARGIN_PX * np.sqrt(1 + _SLOPES**2)
+    lines = np.multiply.outer(np.arange(top, bottom) + 0.5, _SLOPES)
+    left = (across.min(axis=1) - margin - lines).max(axis=1, keepdims=True)
+    right = (across.max(axis=1) + margin - lines).min(axis=1, keepdims=True)
+    columns = np.arange(camera.width) + 0.5
+    return int(top), np.flatnonzero((columns >= left) & (columns <= right))

@@ -94,8 +94,7 @@ def thin_rectangle(rng: Generator, seen: Bool[np.ndarray, "h w"]) -> Bool[np.nda
     unit = seen.shape[1] / 128
     thickness, length = (rng.uniform(*limits) * unit for limits in RECTANGLE_PX)
     direction = rng.uniform(0, np.pi)
-    y, x = np.mgrid[: seen.shape[0], : seen.shape[1]]
-    dx, dy = x - columns[i], y - rows[i]
+    dx, dy = np.arange(seen.shape[1]) - columns[i], np.arange(seen.shape[0])[:, None] - rows[i]
     along = dx * np.cos(direction) + dy * np.sin(direction)
     across = dy * np.cos(direction) - dx * np.sin(direction)
     return (np.abs(along) <= length / 2) & (np.abs(across) <= thickness / 2)
