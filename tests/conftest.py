@@ -5,11 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 import trimesh
-from beartype import BeartypeConf, beartype
 from jaxtyping import config, install_import_hook
 
-checked = beartype(conf=BeartypeConf(is_pep484_tower=True))  # an int will do for a float, as everywhere in Python
-install_import_hook("reorient", "conftest.checked")
+install_import_hook("reorient", "typecheck.checked")
 
 from reorient.depth import Camera  # noqa: E402 - the package comes after its hook
 

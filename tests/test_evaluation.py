@@ -9,7 +9,8 @@ import pytest
 
 from reorient import so3
 from reorient.errors import ReorientError
-from reorient.evaluation import COLUMNS, Evaluation, ObjectSource, evaluate, read_config, regenerate
+from reorient.evaluation import COLUMNS, Evaluation, evaluate, read_config, regenerate
+from reorient.objects import ObjectSource
 
 TINY = Evaluation(ObjectSource(count=2), ("gicp", "icp"), ranges_deg=((0, 30), (30, 60)), noise_mm=(0.0, 1.0), pairs=3)
 

@@ -19,6 +19,7 @@ ROOMS = [
     "so3",
     "depth",
     "depth_files",
+    "virtual_camera",
     "meshes",
     "shapes",
     "objects",
@@ -30,6 +31,13 @@ ROOMS = [
     "estimators.base",
     "estimators",
     "pairs",
+    "pair_store",
+    "batches",
+    "recipes",
+    "network",
+    "losses",
+    "training",
+    "export",
     "stations.base",
     "stations",
     "controller",
@@ -38,6 +46,7 @@ ROOMS = [
     "pictures",
     "reporting",
     "cli",
+    "__main__",
     "",  # the package itself
 ]
 NEVER = {"estimators": {"meshes", "shapes", "objects", "rendering", "sensing", "symmetry", "paper_filter"}}

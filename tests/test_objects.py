@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from reorient.errors import ReorientError
-from reorient.evaluation import ObjectSource
-from reorient.objects import folder, generated, package
+from reorient.objects import ObjectSource, folder, generated, package
 
 
 def test_generated():

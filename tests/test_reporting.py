@@ -17,7 +17,8 @@ from reorient import Proportional, load_estimator, orient, so3
 from reorient.controller import OrientResult
 from reorient.depth import DepthImage
 from reorient.errors import ReorientError
-from reorient.evaluation import COLUMNS, Evaluation, ObjectSource, regenerate
+from reorient.evaluation import COLUMNS, Evaluation, regenerate
+from reorient.objects import ObjectSource
 from reorient.rendering import load_world
 from reorient.reporting import (
     figures,

@@ -1,4 +1,4 @@
-"""Depth images: the pinhole camera, the image and its checks, points, crops, and the virtual camera.
+"""Depth images: the pinhole camera, the image and its checks, points, crops.
 
 Camera axes are OpenCV's: x right, y down, z forward. Pixel centres lie at +0.5: the pixel in row 0, column 0 covers
 [0, 1) x [0, 1), so that cropping subtracts whole numbers from cx, cy and resizing scales fx, fy, cx, cy alike.
@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
-from reorient import so3
 from reorient.errors import ReorientError
 
 NEAREST_M = 0.01  # a median depth below this is no camera's
@@ -199,66 +198,3 @@ def isolate(
             "nothing is left of the image: expected returns inside the mask, the box and the depth range"
         )
     return require_isolated(replace(image, depth_m=np.where(keep, image.depth_m, np.float32(0))))
-
-
-# --- the virtual camera ---------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class VirtualCamera:
-    """A camera in the place of the real one, turned to look straight at the object and zoomed to it.
-
-    What it sees depends little on the real camera, so a network trained on one camera serves them all.
-    """
-
-    camera: Camera
-    R_virtual_camera: Float[np.ndarray, "3 3"]
-    """Takes the real camera's axes to the virtual one's."""
-
-    def view(self, image: DepthImage) -> DepthImage:
-        """The image resampled (nearest neighbour) to this camera."""
-        rays = self.camera.rays()
-        directions = rays @ self.R_virtual_camera  # row vectors: R.T applied to each, virtual -> real
-        pixel = np.nan_to_num(np.floor(image.camera.project(directions)), nan=-1).astype(int)
-        u, v = pixel[..., 0], pixel[..., 1]
-        inside = (u >= 0) & (u < image.camera.width) & (v >= 0) & (v < image.camera.height)
-        z = np.where(inside, image.depth_m[np.where(inside, v, 0), np.where(inside, u, 0)], 0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            depth_m = np.where(z > 0, z / directions[..., 2], 0).astype(np.float32)
-        return DepthImage(depth_m, self.camera, image.stamp_s)
-
-    def to_camera(self, R_virtual: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-        """A rotation of the object estimated in virtual axes, in the real camera's axes (conjugation)."""
-        return self.R_virtual_camera.T @ R_virtual @ self.R_virtual_camera
-
-
-def aim(
-    current: DepthImage,
-    goal: DepthImage,
-    pivot_m: Float[np.ndarray, "3"] | None = None,
-    size_px: int = 128,
-    fill: float = 0.85,
-) -> VirtualCamera:
-    """One virtual camera for a pair, aimed at the pivot (else at the middle of all returns).
-
-    The farthest return of either image lies at ``fill`` of the half width. ``size_px``: rows and columns.
-    """
-    points = np.concatenate([current.points(), goal.points()])
-    target = (points.min(axis=0) + points.max(axis=0)) / 2 if pivot_m is None else np.asarray(pivot_m, float)
-    if not (target.shape == (3,) and np.all(np.isfinite(target)) and target[2] > 0):
-        raise ReorientError(
-            f"pivot {target}: expected three finite numbers, metres in camera axes, in front of the camera"
-        )
-    direction = target / np.linalg.norm(target)
-    axis = np.cross(direction, [0.0, 0.0, 1.0])
-    sine = np.linalg.norm(axis)
-    R_virtual_camera = so3.exp(axis / sine * np.arctan2(sine, direction[2])) if sine > 0 else np.eye(3)
-    seen = points @ R_virtual_camera.T
-    if seen[:, 2].min() <= 0:
-        raise ReorientError(
-            f"pivot {target}: expected it near the object, some returns lie behind a camera aimed at it"
-        )
-    extent = max(float(np.abs(seen[:, :2] / seen[:, 2:]).max()), 1 / min(current.camera.fx, goal.camera.fx))
-    half = size_px / 2
-    f = fill * half / extent
-    return VirtualCamera(Camera(size_px, size_px, f, f, half, half), R_virtual_camera)

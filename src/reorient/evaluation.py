@@ -10,7 +10,6 @@ import io
 import json
 import shlex
 import shutil
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -27,8 +26,8 @@ from reorient import __version__, so3
 from reorient.errors import ReorientError
 from reorient.estimators import load_estimator
 from reorient.estimators.base import Estimator
-from reorient.files import make_folder, replacing
-from reorient.objects import ObjectSet, folder, generated, package
+from reorient.files import commit, make_folder, replacing
+from reorient.objects import ObjectSet, ObjectSource
 from reorient.pairs import Pair, sample_pair
 from reorient.rendering import Renderer, load_world
 from reorient.sensing import randomised
@@ -63,38 +62,6 @@ COLUMNS = [
 ]
 
 Row = dict[str, str]
-
-
-@dataclass(frozen=True)
-class ObjectSource:
-    """Where objects come from: generated unless a folder or a package is named."""
-
-    meshes: Path | None = None
-    """A folder of meshes (.obj, .stl, .ply, .dae, .npz with v and f, ...)."""
-    package: str | None = None
-    """An installed pip package that ships meshes: example-robot-data, rtb-data or pybullet."""
-    only: Path | None = None
-    """A text file with the names of the objects to use, one a line."""
-    count: int = 100
-    """How many objects to generate."""
-    object_seed: int = 0
-    """Which sequence of the generator."""
-
-    def open(self) -> ObjectSet:
-        """The set. Raises ReorientError for a missing folder or package, or an unknown name."""
-        if self.meshes is not None and self.package is not None:
-            raise ReorientError("both --meshes and --package given: expected one source of objects")
-        if self.meshes is not None:
-            objects = folder(self.meshes)
-        elif self.package is not None:
-            objects = package(self.package)
-        else:
-            objects = generated(self.count, self.object_seed)
-        if self.only is None:
-            return objects
-        if not self.only.is_file():
-            raise ReorientError(f"no file {str(self.only)!r}: expected object names, one a line")
-        return objects.only([line.strip() for line in self.only.read_text().splitlines() if line.strip()])
 
 
 @dataclass(frozen=True)
@@ -176,13 +143,11 @@ def read_config(path: Path) -> Evaluation:
         raise ReorientError(f"no evaluation in {str(path)!r}: expected config.json and rows.csv.gz")
     try:
         data = json.loads(file.read_text())["config"]
-        source = data.pop("objects")
-        for name in ("meshes", "only"):
-            source[name] = None if source[name] is None else Path(source[name])
+        source = ObjectSource.from_json(data.pop("objects"))
         data["ranges_deg"] = tuple(tuple(x) for x in data["ranges_deg"])
         for name in ("estimators", "noise_mm"):
             data[name] = tuple(data[name])
-        return Evaluation(ObjectSource(**source), **data)
+        return Evaluation(source, **data)
     except (ValueError, KeyError, TypeError) as error:
         raise ReorientError(f"broken {str(file)!r} ({error}): expected what `reorient evaluate` wrote") from error
 
@@ -293,21 +258,9 @@ def _write_config(config: Evaluation, out: Path, workers: int) -> None:
             raise ReorientError(f"{str(out)!r} holds a run of another config: expected the same, or a new folder")
         return
     command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
-    run = {"config": asked, "version": __version__, "commit": _commit(), "command": command, "workers": workers}
+    run = {"config": asked, "version": __version__, "commit": commit(), "command": command, "workers": workers}
     with replacing(file) as temporary:
         temporary.write_text(json.dumps(run, indent=2) + "\n")
-
-
-def _commit() -> str | None:
-    try:
-        root = Path(__file__).parents[2]
-        if not (root / "pyproject.toml").is_file():  # installed: a repository around it is somebody else's
-            return None
-        return subprocess.run(
-            ["git", "describe", "--always", "--dirty"], cwd=root, capture_output=True, text=True, check=True
-        ).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        return None
 
 
 def _whole_pairs(partial: Path, per_pair: int) -> int:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 import trimesh
 
@@ -87,6 +88,44 @@ def package(name: str) -> ObjectSet:
     if not meshes:
         raise ReorientError(f"package {name!r} is not installed: expected `pip install {name}`")
     return ObjectSet(name, tuple(meshes), partial(_load_file, meshes))
+
+
+@dataclass(frozen=True)
+class ObjectSource:
+    """Where objects come from: generated unless a folder or a package is named."""
+
+    meshes: Path | None = None
+    """A folder of meshes (.obj, .stl, .ply, .dae, .npz with v and f, ...)."""
+    package: str | None = None
+    """An installed pip package that ships meshes: example-robot-data, rtb-data or pybullet."""
+    only: Path | None = None
+    """A text file with the names of the objects to use, one a line."""
+    count: int = 100
+    """How many objects to generate."""
+    object_seed: int = 0
+    """Which sequence of the generator."""
+
+    @classmethod
+    def from_json(cls, described: dict[str, Any]) -> "ObjectSource":
+        """Back from what ``asdict`` became in a JSON file."""
+        paths = {key: Path(described[key]) for key in ("meshes", "only") if described[key] is not None}
+        return cls(**described | paths)
+
+    def open(self) -> ObjectSet:
+        """The set. Raises ReorientError for a missing folder or package, or an unknown name."""
+        if self.meshes is not None and self.package is not None:
+            raise ReorientError("both --meshes and --package given: expected one source of objects")
+        if self.meshes is not None:
+            objects = folder(self.meshes)
+        elif self.package is not None:
+            objects = package(self.package)
+        else:
+            objects = generated(self.count, self.object_seed)
+        if self.only is None:
+            return objects
+        if not self.only.is_file():
+            raise ReorientError(f"no file {str(self.only)!r}: expected object names, one a line")
+        return objects.only([line.strip() for line in self.only.read_text().splitlines() if line.strip()])
 
 
 def _generate(name: str) -> trimesh.Trimesh:

@@ -1,6 +1,6 @@
 """Pairs: one object seen twice, before and after a known rotation (paper, "Dataset Generation")."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
@@ -9,7 +9,8 @@ from numpy.random import Generator
 from reorient import so3
 from reorient.depth import DepthImage
 from reorient.errors import ReorientError
-from reorient.rendering import Placement, Renderer, World
+from reorient.objects import ObjectSource
+from reorient.rendering import Placement, Renderer, World, load_world
 from reorient.sensing import Sensor, sense
 
 
@@ -52,3 +53,37 @@ def sample_pair(
         if min(np.count_nonzero(image.depth_m) for image in (current, goal)) >= FEWEST_RETURNS:
             return Pair(current, goal, R_goal_current, R_start, placement, placement.nominal_pivot_m(rng))
     raise ReorientError("an object shows fewer than 100 returns from everywhere: expected a larger surface")
+
+
+LARGEST_CHUNK = 64  # pairs, what one read of a stored set brings
+
+
+@dataclass(frozen=True)
+class PairSet:
+    """What to draw."""
+
+    objects: ObjectSource = field(default_factory=ObjectSource)
+    pairs_per_object: int = 200
+    world: str = "paper"
+    """Preset of camera, size and distance: paper or benchmark."""
+    low_deg: float = 0.0
+    high_deg: float = 30.0
+    """Range of the angle between start and goal."""
+    noise_mm: float = 0.0
+    """Depth noise of the structured-light sensor; 0: rectangle and dropouts alone."""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Raises ReorientError for what cannot be drawn."""
+        load_world(self.world)
+        if not 0 <= self.low_deg <= self.high_deg <= 180:
+            raise ReorientError(
+                f"range {self.low_deg:g} to {self.high_deg:g} degrees: expected 0 <= low <= high <= 180"
+            )
+        if self.pairs_per_object < 1 or self.seed < 0 or not 0 <= self.noise_mm < np.inf:
+            raise ReorientError("expected at least one pair an object, and noise and a seed from 0")
+
+    @property
+    def chunk(self) -> int:
+        """Pairs a chunk: the most that divide an object's pairs evenly."""
+        return max(n for n in range(1, LARGEST_CHUNK + 1) if self.pairs_per_object % n == 0)

@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.table import Table
 
 from reorient.errors import ReorientError
-from reorient.evaluation import ObjectSource
 from reorient.meshes import scale_to_radius
+from reorient.objects import ObjectSource
 from reorient.symmetry import SYMMETRIC_BELOW, rotation_group
 
 FIGURES = ("faces", "genus", "aspect", "convexity", "symmetry_residual")

@@ -3,36 +3,18 @@
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from itertools import chain
 from pathlib import Path
 from typing import Annotated
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 from trimesh import Trimesh
 from tyro.conf import Positional, subcommand
 
+from reorient.cli.progress import show_progress
 from reorient.errors import ReorientError
-from reorient.evaluation import Evaluation, ObjectSource, evaluate
+from reorient.evaluation import Evaluation, evaluate
 from reorient.files import make_folder, replacing, write_table
-from reorient.objects import ObjectSet
-
-
-def _progress(what: str, states: Iterator[tuple[int, int]]) -> None:
-    """Draw (done, all) states as a bar with the time left."""
-    first = next(states)  # bad input is refused before there is a bar
-    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(what, total=None)
-        for done, total in chain([first], states):
-            bar.update(task, completed=done, total=total)
+from reorient.objects import ObjectSet, ObjectSource
 
 
 def _console() -> Console:
@@ -75,7 +57,7 @@ class Make:
                         scale_to_radius(mesh, 1.0).export(temporary)
                 yield done, len(objects.names)
 
-        _progress("objects", states())
+        show_progress("objects", states())
         print(self.out)
 
 
@@ -125,7 +107,7 @@ class Check:
                 rows.append(row)
                 yield len(rows), total
 
-        _progress("objects", states())
+        show_progress("objects", states())
         if self.out is not None:
             write_table(self.out, rows)
         print_statistics(rows, _console())
@@ -195,7 +177,7 @@ class Evaluate:
         """Measure, then print the tables."""
         from reorient.reporting import print_tables, read_rows
 
-        _progress("pairs", evaluate(self.config, self.out, self.workers))
+        show_progress("pairs", evaluate(self.config, self.out, self.workers))
         print_tables(read_rows(self.out), _console())
         print(self.out / "rows.csv.gz")
 

@@ -3,11 +3,11 @@
 from reorient.errors import unknown_name
 from reorient.estimators.base import Estimator
 
-NAMES = ("default", "gicp", "icp")
+NAMES = ("default", "gicp", "icp", "paper", "swift")
 
 
 def load_estimator(name: str = "default") -> Estimator:
-    """An estimator of the package: ``gicp`` (which ``default`` is for now) or ``icp``.
+    """An estimator of the package: ``gicp`` (``default`` for now), ``icp``, or a network: ``paper``, ``swift``.
 
     Raises ReorientError, a ValueError, for an unknown name.
     """
@@ -19,4 +19,12 @@ def load_estimator(name: str = "default") -> Estimator:
         from reorient.estimators.icp import ICP
 
         return ICP()
+    if name == "paper":
+        from reorient.estimators.learned import Learned
+
+        return Learned("paper")
+    if name == "swift":
+        from reorient.estimators.learned import Learned
+
+        return Learned("swift", rounds=3)
     raise unknown_name("estimator", name, list(NAMES))

@@ -1,0 +1,128 @@
+"""The learning verbs: generate pairs, train a network on them, export its weights. They need the extra ``train``."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Literal
+
+import tyro
+from tyro.conf import Positional
+
+from reorient.cli.progress import show_progress
+from reorient.errors import ReorientError
+from reorient.files import make_folder
+from reorient.pairs import PairSet
+from reorient.recipes import PRESETS, NetworkName
+
+
+def _require(extra: str, *modules: str) -> None:
+    if missing := [module for module in modules if find_spec(module) is None]:
+        raise ReorientError(f"{missing[0]} is not installed: expected `pip install 'reorient[{extra}]'`")
+
+
+@dataclass(frozen=True)
+class Generate:
+    """Draw pairs of depth images with known rotations, and store them. An interrupted run goes on where it stopped.
+
+    For example, the paper's full set: reorient generate data/full --count 872 --object-seed 2020
+    or, of one's own meshes: reorient generate data/own --meshes my_meshes --pairs-per-object 400
+    """
+
+    out: Positional[str]
+    """Folder, or fsspec URL (s3://..., gs://...), to write to."""
+    config: PairSet = field(default_factory=PairSet)
+    workers: int = -1
+    """Processes; -1: one a core."""
+    backend: Literal["loky", "ray"] = "loky"
+    """Processes of this machine, or a Ray cluster (extra ``cluster``)."""
+
+    def run(self) -> None:
+        """Say what it will take, then draw."""
+        _require("train", "zarr", "joblib")
+        import os
+
+        from reorient.pair_store import estimate_cost, generate
+
+        workers = (os.cpu_count() or 1) if self.workers == -1 else self.workers
+        cost = estimate_cost(self.config, self.out, workers)
+        free = "" if cost.free_bytes is None else f" of {cost.free_bytes / 1e9:.0f} GB free"
+        print(
+            f"{cost.pairs} pairs: about {cost.seconds / 60:.1f} minutes and {cost.bytes / 1e9:.2f} GB{free}.",
+            flush=True,
+        )
+        states = generate(self.config, self.out, workers, self.backend)
+        show_progress("pairs", ((state.done, state.total) for state in states))
+        print(self.out)
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train a network on stored pairs. An interrupted run goes on exactly where it stopped.
+
+    For example, the paper's recipe: reorient train data/full runs/paper paper
+    or, ours on one's own meshes: reorient train data/own runs/own --warm-start swift.safetensors swift --epochs 10
+    on several machines: torchrun --nnodes 2 --nproc-per-node 2 ... -m reorient train data/full runs/paper paper
+    """
+
+    pairs: Positional[str]
+    """What ``reorient generate`` wrote."""
+    out: Positional[Path]
+    """Folder for the run."""
+    recipe: tyro.extras.subcommand_type_from_defaults(PRESETS) = PRESETS["paper"]  # type: ignore[valid-type]
+    warm_start: Path | None = None
+    """Weights to begin with (.safetensors)."""
+    threads: int | None = None
+    """Of torch, in each process; default: its own choice."""
+
+    def run(self) -> None:
+        """Train, showing loss and validation error."""
+        _require("train", "torch", "lightning_fabric", "zarr", "safetensors", "tensorboard")
+        import torch
+
+        from reorient.training import train
+
+        if self.threads is not None:
+            torch.set_num_threads(self.threads)
+
+        def states() -> Iterator[tuple[int, int, str]]:
+            validation = ""
+            for state in train(self.recipe, self.pairs, self.out, self.warm_start):
+                if state.validation_deg is not None:
+                    validation = f", validation {state.validation_deg:.2f} degrees"
+                    print(
+                        f"epoch {state.epoch + 1}: loss {state.loss:.5f}{validation}{' (best)' * state.best}",
+                        flush=True,
+                    )
+                text = (
+                    f"epoch {state.epoch + 1}: loss {state.loss:.5f}, {state.pairs_per_second:.0f} pairs/s{validation}"
+                )
+                yield state.step, state.steps, text
+
+        show_progress("training", states())
+        print(self.out / "best.safetensors")
+
+
+@dataclass(frozen=True)
+class Export:
+    """Trained weights as ONNX, which the estimators run.
+
+    For example: reorient export runs/swift/best.safetensors swift.onnx --network swift --compact
+    """
+
+    weights: Positional[Path]
+    """Weights of a run (.safetensors)."""
+    out: Positional[Path]
+    """File to write (.onnx)."""
+    network: NetworkName = "paper"
+    compact: bool = False
+    """Store the weights as float16; the arithmetic stays float32."""
+
+    def run(self) -> None:
+        """Write."""
+        _require("train", "torch", "onnx", "onnxscript", "safetensors")
+        from reorient.export import export
+
+        make_folder(self.out.parent)
+        export(self.network, self.weights, self.out, self.compact)
+        print(self.out)

@@ -1,0 +1,82 @@
+"""A trained network as an estimator: ONNX Runtime, one core, no torch."""
+
+from functools import cache
+from importlib import resources
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from reorient import so3
+from reorient.depth import DepthImage
+from reorient.errors import ReorientError
+from reorient.estimators.base import History, RotationEstimate, check_pair
+from reorient.estimators.evidence import View, weigh
+from reorient.virtual_camera import VirtualCamera, aim, join, network_input, outline, turned, turning_points
+
+TOLERANCE = 0.018  # depth difference that still fits, of the object's size
+
+
+@cache
+def load_session(name: str) -> Any:
+    """The ONNX Runtime session of weights in the package. Raises ReorientError for weights that are missing."""
+    import onnxruntime
+
+    file = resources.files("reorient") / "weights" / f"{name}.onnx"
+    if not file.is_file():
+        raise ReorientError(f"no weights {name}.onnx in this installation: expected them in reorient/weights")
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    return onnxruntime.InferenceSession(file.read_bytes(), options, providers=["CPUExecutionProvider"])
+
+
+class Learned:
+    """A network's answer for 0-30 degrees (paper, "Learning to Estimate 3D Rotations").
+
+    ``rounds``: from the second on, the network sees the current image turned by the answer so far, as ``swift`` was
+    trained to.
+    """
+
+    def __init__(self, weights: Literal["paper", "swift"], rounds: int = 1) -> None:
+        self._session = load_session(weights)
+        self._rounds = rounds
+
+    def estimate(
+        self,
+        current: DepthImage,
+        goal: DepthImage,
+        pivot_m: Float[np.ndarray, "3"] | None = None,
+        history: History = (),
+    ) -> RotationEstimate:
+        """As ``Estimator.estimate``; the history is not used."""
+        check_pair(current, goal, pivot_m)
+        virtual = aim(join(*(outline(image.valid[None], image.camera) for image in (current, goal))))
+        views_m = [virtual.view(image.depth_m[None, None], image.camera)[:, 0] for image in (current, goal)]
+        from_m, to_m = (self._turning_point(virtual, view_m, pivot_m) for view_m in views_m)
+        current_m, goal_m = views_m
+        R_virtual = self._answer(current_m, goal_m, virtual)
+        for _ in range(self._rounds - 1):
+            seen_m = turned(current_m, virtual.tangent, R_virtual, from_m, to_m)
+            R_virtual = self._answer(seen_m, goal_m, virtual) @ R_virtual
+        R = virtual.to_camera(R_virtual)[0]
+        t = virtual.R_virtual_camera[0].T @ (to_m[0] - R_virtual[0] @ from_m[0])
+        tolerance_m = TOLERANCE * float(np.linalg.norm(np.ptp(goal.points(), axis=0)))
+        return RotationEstimate(R, t, weigh(View(current), View(goal), R, t, tolerance_m))
+
+    def _answer(
+        self,
+        current_m: Float32[np.ndarray, "n size size"],
+        goal_m: Float32[np.ndarray, "n size size"],
+        virtual: VirtualCamera,
+    ) -> Float[np.ndarray, "n 3 3"]:
+        images = network_input(np.stack([current_m, goal_m], axis=1), virtual.tangent)
+        quat_wxyz = self._session.run(None, {"images": images})[0]
+        return so3.matrix_from_quat(so3.normalize(quat_wxyz.astype(float)))
+
+    def _turning_point(
+        self, virtual: VirtualCamera, view_m: Float32[np.ndarray, "n size size"], pivot_m: Float[np.ndarray, "3"] | None
+    ) -> Float[np.ndarray, "n 3"]:
+        """The pivot, else the guess from what is seen, in virtual axes."""
+        if pivot_m is None:
+            return turning_points(view_m, virtual.tangent)
+        return virtual.R_virtual_camera @ pivot_m

@@ -1,0 +1,196 @@
+"""Training learns, resumes exactly, survives a kill, and gives the same with two processes."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+
+from reorient.batches import Augmentation, Batches, split
+from reorient.errors import ReorientError
+from reorient.network import build
+from reorient.objects import ObjectSource
+from reorient.pair_store import PairReader, generate
+from reorient.pairs import PairSet
+from reorient.recipes import Training, load_preset, lr_at
+from reorient.training import train
+
+DEBUG = load_preset("debug")
+
+
+def run(config, pairs, out, **more):
+    return list(train(config, pairs, out, **more))
+
+
+def weights(out):
+    return load_file(out / "best.safetensors")
+
+
+def rows(out):
+    with (out / "metrics.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def same(a, b):
+    return a.keys() == b.keys() and all(torch.equal(a[key], b[key]) for key in a)
+
+
+@pytest.fixture(scope="module")
+def trained(small_set, tmp_path_factory):
+    """A whole run of the debug recipe."""
+    out = tmp_path_factory.mktemp("run") / "debug"
+    return out, run(DEBUG, small_set, out)
+
+
+def test_a_run_leaves_config_metrics_log_and_weights(trained):
+    out, states = trained
+    assert json.loads((out / "config.json").read_text())["training"]["loss"] == "hybrid"
+    assert [int(row["epoch"]) for row in rows(out)] == [0, 1]
+    assert any((out / "log").iterdir())
+    assert build("paper").load_state_dict(weights(out))
+    validated = [state.validation_deg for state in states if state.validation_deg is not None]
+    assert [float(row["validation_deg"]) for row in rows(out)] == pytest.approx(validated, abs=1e-4)
+    assert states[-1].step == states[-1].steps
+
+
+def test_the_first_epoch_of_hybrid_is_the_mean_loss_and_the_next_is_shape_match(trained, small_set, tmp_path):
+    hybrid = [float(row["loss"]) for row in rows(trained[0])]
+    for name, same_as in (("mean", 0), ("shapematch", None)):
+        run(replace(DEBUG, loss=name), small_set, tmp_path / name)
+        alone = [float(row["loss"]) for row in rows(tmp_path / name)]
+        assert (alone[0] == hybrid[0]) == (same_as == 0)
+        assert alone[1] != hybrid[1]
+
+
+def test_it_learns(tmp_path):
+    """Some pairs of few objects are soon known: the loss falls below that of predicting nothing."""
+    pairs = tmp_path / "pairs"
+    list(generate(PairSet(ObjectSource(count=4, object_seed=7), pairs_per_object=32), pairs))
+    config = Training("swift", "mean", 25, 16, 0.003, validation_pairs=8, test_objects=1, precision="32-true")
+    losses = [state.loss for state in run(config, pairs, tmp_path / "run")]
+    assert losses[-1] < 0.7 * np.mean(1 - PairReader(pairs)._labels["quat_wxyz"][:, 0])
+
+
+def test_an_interrupted_run_resumes_exactly(trained, small_set, tmp_path):
+    out = tmp_path / "run"
+    steps = train(DEBUG, small_set, out, save_every_s=0)
+    for state in steps:
+        if state.step == 6:  # in the middle of the second epoch, of 4 steps
+            steps.close()
+            break
+    assert len(rows(out)) == 1
+    run(DEBUG, small_set, out)
+    assert same(weights(out), weights(trained[0]))
+    assert [row["loss"] for row in rows(out)] == [row["loss"] for row in rows(trained[0])]
+
+
+def test_killed_at_any_moment_it_ends_the_same(trained, small_set, tmp_path):
+    out = tmp_path / "run"
+    script = (
+        "import sys, torch; torch.set_num_threads(1); from reorient.recipes import load_preset; "
+        "from reorient.training import train; "
+        f"[None for _ in train(load_preset('debug'), {str(small_set)!r}, __import__('pathlib').Path({str(out)!r}), "
+        "save_every_s=0)]"
+    )
+    for wait_s in (8.0, 9.5):
+        process = subprocess.Popen([sys.executable, "-c", script], start_new_session=True, stderr=subprocess.DEVNULL)
+        time.sleep(wait_s)
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+    run(DEBUG, small_set, out)
+    assert same(weights(out), weights(trained[0]))
+
+
+def test_a_finished_run_does_nothing_more(trained, small_set):
+    out, _ = trained
+    before = (out / "metrics.csv").read_bytes()
+    assert run(DEBUG, small_set, out) == []
+    assert (out / "metrics.csv").read_bytes() == before
+
+
+def test_it_stops_when_validation_stays_flat(small_set, tmp_path):
+    config = replace(DEBUG, epochs=6, patience=1, lr=1e-9)  # nothing changes but batch norm
+    run(config, small_set, tmp_path / "run")
+    errors = [float(row["validation_deg"]) for row in rows(tmp_path / "run")]
+    assert len(errors) < 6 or all(b < a for a, b in pairwise(errors))
+
+
+def test_validation_objects_are_neither_trained_on_nor_tested(small_set, tmp_path, monkeypatch):
+    read = []
+    original = PairReader.read
+    monkeypatch.setattr(PairReader, "read", lambda self, pairs: read.append(pairs // 6) or original(self, pairs))
+    parts = split(PairReader(small_set).names)
+    for objects in (parts.train, parts.validation):
+        list(Batches(PairReader(small_set), objects, 8, (0,), augmentation=Augmentation()))
+    seen = set(np.concatenate(read).tolist())
+    assert not seen & set(parts.test)
+    assert not set(parts.train) & set(parts.validation)
+
+
+def test_warm_start_begins_with_those_weights(trained, small_set, tmp_path):
+    config = replace(DEBUG, epochs=1, lr=1e-9)
+    half = {key: value.half() if value.is_floating_point() else value for key, value in weights(trained[0]).items()}
+    save_file(half, tmp_path / "half.safetensors")
+    run(config, small_set, tmp_path / "run", warm_start=tmp_path / "half.safetensors")
+    key = "embed.6.weight"
+    assert torch.allclose(weights(tmp_path / "run")[key], weights(trained[0])[key], atol=1e-3)
+
+
+def test_misfits_are_refused(trained, small_set, tmp_path):
+    with pytest.raises(ReorientError, match="holds a training of another config: expected a new folder"):
+        run(replace(DEBUG, seed=1), small_set, trained[0])
+    with pytest.raises(ReorientError, match=r"cannot load weights .* expected the network's own .safetensors"):
+        run(replace(DEBUG, network="swift"), small_set, tmp_path / "a", warm_start=trained[0] / "best.safetensors")
+    (tmp_path / "torn.safetensors").write_bytes((trained[0] / "best.safetensors").read_bytes()[:1000])
+    with pytest.raises(ReorientError, match=r"cannot load weights .* expected the network's own .safetensors"):
+        run(DEBUG, small_set, tmp_path / "b", warm_start=tmp_path / "torn.safetensors")
+    with pytest.raises(ReorientError, match="no pairs in .*: expected what `reorient generate` wrote"):
+        run(DEBUG, tmp_path / "nothing", tmp_path / "c")
+    with pytest.raises(ReorientError, match=r"unknown training preset 'swfit': .* \(did you mean 'swift'\?\)"):
+        load_preset("swfit")
+    with pytest.raises(ReorientError, match="expected 0 < lr < 1"):
+        Training(lr=-1)
+
+
+def test_schedules():
+    paper, swift = load_preset("paper"), load_preset("swift")
+    assert [lr_at(paper, epoch, 0.5) for epoch in (0, 4, 5, 10)] == pytest.approx([3e-4, 3e-4, 2.7e-4, 2.43e-4])
+    rates = [lr_at(swift, epoch, 0.0) for epoch in range(swift.epochs)]
+    assert rates[0] < rates[1] > rates[-1]
+    assert all(a > b for a, b in pairwise(rates[1:]))
+
+
+TWO = """
+import sys, torch
+from dataclasses import replace
+from pathlib import Path
+from reorient.recipes import load_preset
+from reorient.training import train
+
+torch.set_num_threads(1)
+config = replace(load_preset("debug"), batch=int(sys.argv[3]), epochs=3, lr=1e-3, loss="mean", dropout=0.0)
+for _ in train(config, sys.argv[1], Path(sys.argv[2])):
+    pass
+"""
+
+
+def test_two_processes_follow_the_loss_curve_of_one_with_the_double_batch(small_set, tmp_path):
+    """Not to the last digit: each process normalises its own part of the batch."""
+    (tmp_path / "two.py").write_text(TWO)
+    begin = [sys.executable, tmp_path / "two.py", small_set]
+    subprocess.run([*begin, tmp_path / "one", "8"], check=True)
+    launch = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    subprocess.run([*launch, tmp_path / "two.py", small_set, tmp_path / "two", "4"], check=True)
+    one, two = ([float(row["loss"]) for row in rows(tmp_path / name)] for name in ("one", "two"))
+    assert len(one) == len(two) == 3
+    assert two == pytest.approx(one, rel=0.35)
+    assert [row["pairs"] for row in rows(tmp_path / "one")] == [row["pairs"] for row in rows(tmp_path / "two")]
