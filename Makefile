@@ -2,13 +2,16 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test lint clean
+.PHONY: demo test test-train lint clean
 
 demo: .venv/base
 	$(BIN)/reorient demo --out out/demo
 
 test: .venv/dev
 	$(BIN)/pytest -n auto
+
+test-train: .venv/train
+	$(BIN)/pytest tests/train
 
 lint: .venv/dev
 	$(BIN)/ruff check .
@@ -22,6 +25,10 @@ lint: .venv/dev
 
 .venv/dev: .venv/base
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	touch $@
+
+.venv/train: .venv/dev
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[train,cluster]'
 	touch $@
 
 clean:

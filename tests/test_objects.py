@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from reorient.errors import ReorientError
-from reorient.objects import ObjectSource, folder, generated, package
+from reorient.objects import ObjectSource, folder, generated, package, split
 
 
 def test_generated():
@@ -35,12 +35,19 @@ def test_pybullet_package(tmp_path, mesh, monkeypatch):
     assert package("pybullet").names == ("000/000",)
 
 
-def test_split_is_disjoint_stable_and_complete():
-    objects = generated(200)
-    train, test = objects.split(0.8)
-    assert sorted(train.names + test.names) == sorted(objects.names)
-    assert 130 < len(train.names) < 185
-    assert set(train.names) < set(generated(400).split(0.8)[0].names)
+def test_splits_are_disjoint_whole_and_stable():
+    names = [f"object-{i}" for i in range(872)]
+    parts = split(names)
+    assert (len(parts.train), len(parts.validation), len(parts.test)) == (628, 70, 174)
+    assert sorted(parts.train + parts.validation + parts.test) == list(range(872))
+    shuffled = list(reversed(names))
+    assert {shuffled[i] for i in split(shuffled).test} == {names[i] for i in parts.test}
+    assert len(split(names[:100], 81).test) == 81
+
+
+def test_a_split_with_an_empty_part_is_refused():
+    with pytest.raises(ReorientError, match=r"3 objects, 2 for testing: expected some for training, validation and"):
+        split(["a", "b", "c"], 2)
 
 
 def test_refusals(tmp_path):

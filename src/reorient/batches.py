@@ -1,6 +1,5 @@
 """From stored pairs to what a network trains on: split by object, views of a virtual camera, labels in its axes."""
 
-import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -14,40 +13,13 @@ from torch import Tensor
 from torch.utils.data import IterableDataset
 
 from reorient import so3
-from reorient.errors import ReorientError
 from reorient.pair_store import Batch, PairReader
 from reorient.virtual_camera import SIZE_PX, VirtualCamera, aim, join, network_input, outline, turned, turning_points
 
-VALIDATION_SHARE = 0.1  # of the training objects
 FILLS = (0.7, 0.95)  # how an augmented view is zoomed: not every outline is as tight as the true one
 SHIFT = 0.1  # and aimed, in half widths
 AT_ONCE = 16  # pairs prepared together: more do not fit the cache
 REMAINING_RAD = 0.08  # what an answer that is nearly right leaves, standard deviation
-
-
-@dataclass(frozen=True)
-class Split:
-    """Object numbers of a set; no object is in two parts."""
-
-    train: tuple[int, ...]
-    validation: tuple[int, ...]
-    test: tuple[int, ...]
-
-
-def split(names: Sequence[str], test_objects: int | None = None) -> Split:
-    """By a hash of the name; a fifth is for testing unless told, and a tenth of the others for validation.
-
-    Raises ReorientError where a part would be empty.
-    """
-    test = len(names) // 5 if test_objects is None else test_objects
-    order = sorted(range(len(names)), key=lambda i: zlib.crc32(names[i].encode()))
-    rest = order[test:]
-    validation = max(1, round(VALIDATION_SHARE * len(rest)))
-    if test < 1 or len(rest) <= validation:
-        raise ReorientError(
-            f"{len(names)} objects, {test} for testing: expected some for training, validation and testing"
-        )
-    return Split(tuple(rest[validation:]), tuple(rest[:validation]), tuple(order[:test]))
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from onnx import TensorProto, helper, numpy_helper
 from reorient.files import replacing
 from reorient.network import build
 from reorient.recipes import NetworkName
-from reorient.training import load_weights
+from reorient.training import HALF, load_weights
 
 
 def export(network: NetworkName, weights: Path, out: Path, compact: bool = False) -> None:
@@ -28,6 +28,7 @@ def export(network: NetworkName, weights: Path, out: Path, compact: bool = False
         output_names=["quat_wxyz"],
         dynamic_shapes=({0: torch.export.Dim("n")},),
         dynamo=True,
+        optimize=False,  # batch norm stays a node of its own: training can begin with the file, and the runtime fuses
         verbose=False,
     )
     assert program is not None
@@ -46,7 +47,7 @@ def _store_as_float16(proto: onnx.ModelProto) -> None:
         values = numpy_helper.to_array(tensor)
         if tensor.data_type == TensorProto.FLOAT and values.size > 1000:
             name = tensor.name
-            tensor.CopyFrom(numpy_helper.from_array(values.astype(np.float16), f"{name}_half"))
-            casts.append(helper.make_node("Cast", [f"{name}_half"], [name], to=TensorProto.FLOAT))
+            tensor.CopyFrom(numpy_helper.from_array(values.astype(np.float16), name + HALF))
+            casts.append(helper.make_node("Cast", [name + HALF], [name], to=TensorProto.FLOAT))
     for cast in reversed(casts):
         graph.node.insert(0, cast)

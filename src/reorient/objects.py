@@ -16,6 +16,7 @@ from reorient.errors import ReorientError, unknown_name
 from reorient.meshes import load_mesh
 
 PACKAGES = ("example-robot-data", "rtb-data", "pybullet")  # pip packages that ship meshes
+VALIDATION_SHARE = 0.1  # of the objects for training
 MESH_SUFFIXES = (".npz", ".obj", ".stl", ".ply", ".dae", ".off", ".glb", ".gltf", ".3mf")
 
 
@@ -36,11 +37,30 @@ class ObjectSet:
                 raise unknown_name("object", name, list(self.names))
         return ObjectSet(self.source, tuple(names), self.load)
 
-    def split(self, share: float) -> tuple["ObjectSet", "ObjectSet"]:
-        """Two disjoint sets by a hash of the name, so that an object stays on its side when the set grows."""
-        first = tuple(name for name in self.names if zlib.crc32(name.encode()) < share * 2**32)
-        chosen = set(first)
-        return self.only(first), self.only([name for name in self.names if name not in chosen])
+
+@dataclass(frozen=True)
+class Split:
+    """Object numbers of a set; no object is in two parts."""
+
+    train: tuple[int, ...]
+    validation: tuple[int, ...]
+    test: tuple[int, ...]
+
+
+def split(names: Sequence[str], test_objects: int | None = None) -> Split:
+    """By a hash of the name; a fifth is for testing unless told, and a tenth of the others for validation.
+
+    Raises ReorientError where a part would be empty.
+    """
+    test = len(names) // 5 if test_objects is None else test_objects
+    order = sorted(range(len(names)), key=lambda i: zlib.crc32(names[i].encode()))
+    rest = order[test:]
+    validation = max(1, round(VALIDATION_SHARE * len(rest)))
+    if test < 1 or len(rest) <= validation:
+        raise ReorientError(
+            f"{len(names)} objects, {test} for testing: expected some for training, validation and testing"
+        )
+    return Split(tuple(rest[validation:]), tuple(rest[:validation]), tuple(order[:test]))
 
 
 def generated(count: int, seed: int = 0) -> ObjectSet:

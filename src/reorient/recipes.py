@@ -62,7 +62,7 @@ PRESETS = {
         "chord",
         epochs=12,
         batch=128,
-        lr=0.003,
+        lr=0.001,
         schedule="cosine",
         weight_decay=1e-5,
         dropout=0.1,

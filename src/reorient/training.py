@@ -8,27 +8,34 @@ out of the training objects; test objects are never looked at.
 import csv
 import json
 import math
+import os
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import onnx
 import torch
+from google.protobuf.message import DecodeError
 from lightning_fabric import Fabric
 from lightning_fabric.loggers import TensorBoardLogger
-from safetensors.torch import save_file
+from onnx import numpy_helper
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
 from reorient import losses
-from reorient.batches import Augmentation, Batches, split
+from reorient.batches import Augmentation, Batches
 from reorient.errors import ReorientError
 from reorient.files import commit, make_folder, replacing
 from reorient.network import build
+from reorient.objects import split
 from reorient.pair_store import PairReader
 from reorient.recipes import LossName, Training, lr_at
 
+HALF = "_half"  # marks weights that an export stores as float16
 COLUMNS = [
     "epoch",
     "step",
@@ -69,9 +76,13 @@ def train(
     parts = split(reader.names, config.test_objects)
     make_folder(out)
     logger = TensorBoardLogger(out, name="", version="log")
-    fabric = Fabric(accelerator="cpu", devices=1, precision=config.precision, loggers=logger)
+    processes, here = (int(os.environ.get(name, 1)) for name in ("WORLD_SIZE", "LOCAL_WORLD_SIZE"))  # torchrun's
+    fabric = Fabric(
+        accelerator="cpu", strategy="ddp" if processes > 1 else "auto", devices=here, num_nodes=processes // here,
+        precision=config.precision, loggers=logger,
+    )  # fmt: skip
     fabric.launch()
-    torch.manual_seed(config.seed + fabric.global_rank)
+    torch.manual_seed(config.seed)
     network = build(config.network, config.dropout)
     if warm_start is not None:
         load_weights(network, warm_start)
@@ -79,21 +90,24 @@ def train(
     optimizer = torch.optim.Adam(network.parameters(), config.lr, weight_decay=config.weight_decay, fused=True)
     network, optimizer = fabric.setup(network, optimizer)
     state: dict[str, Any] = {
-        "network": network, "optimizer": optimizer, "epoch": 0, "batch": 0, "rng": torch.get_rng_state(),
-        "loss_sum": 0.0, "best_deg": math.inf, "best_epoch": -1, "seconds": 0.0, "finished": False,
+        "epoch": 0, "batch": 0, "loss_sum": 0.0, "seconds": 0.0,
+        "best_deg": math.inf, "best_epoch": -1, "finished": False,
     }  # fmt: skip
     _begin(config, reader, out, fabric)
     last = out / "last.ckpt"
     if last.is_file():
-        state |= fabric.load(last, {"network": network, "optimizer": optimizer}, weights_only=True)
-        if not state["finished"]:
+        saved_state = torch.load(last, weights_only=True)
+        network.load_state_dict(saved_state.pop("network"))
+        optimizer.load_state_dict(saved_state.pop("optimizer"))
+        state |= saved_state
+        if fabric.is_global_zero and not state["finished"]:
             _drop_rows_from(out, state["epoch"])
     vertices, counts = torch.from_numpy(reader.vertices), torch.from_numpy(reader.vertex_count)
-    torch.set_rng_state(state["rng"])
 
     def save() -> None:
-        with replacing(last) as temporary:
-            fabric.save(temporary, state | {"rng": torch.get_rng_state()})
+        if fabric.is_global_zero:
+            with replacing(last) as temporary:
+                torch.save(state | {"network": network.state_dict(), "optimizer": optimizer.state_dict()}, temporary)
 
     while state["epoch"] < config.epochs and not state["finished"]:
         epoch = state["epoch"]
@@ -105,6 +119,9 @@ def train(
         saved = began = time.monotonic()
         first = state["batch"]
         for batch in _loader(batches):
+            torch.manual_seed(
+                hash((config.seed, epoch, state["batch"], fabric.global_rank))
+            )  # dropout, wherever resumed
             for group in optimizer.param_groups:
                 group["lr"] = lr_at(config, epoch, state["batch"] / len(batches))
             predicted = network(batch["images"].to(memory_format=torch.channels_last))
@@ -184,19 +201,23 @@ def validate(
 
 
 def load_weights(network: nn.Module, path: Path) -> None:
-    """Weights of a .safetensors file, of any float width, into a network. Raises ReorientError where they misfit."""
-    from safetensors import SafetensorError
-    from safetensors.torch import load_file
-
+    """A run's weights (.safetensors) or an export's (.onnx) into a network. Raises ReorientError where they misfit."""
     try:
-        network.load_state_dict(
-            {key: value.to(network.state_dict()[key].dtype) for key, value in load_file(path).items()}
-        )
-    except (OSError, SafetensorError, KeyError, RuntimeError) as error:
-        first = str(error).strip().splitlines()[0]
-        raise ReorientError(
-            f"cannot load weights {str(path)!r} ({first}): expected the network's own .safetensors"
-        ) from error
+        weights = _onnx_weights(path) if path.suffix == ".onnx" else load_file(path)
+        known = network.state_dict()
+        weights |= {key: known[key] for key in known if key.endswith("num_batches_tracked")}  # no export has it
+        network.load_state_dict({key: value.to(known[key].dtype) for key, value in weights.items()})
+    except (OSError, SafetensorError, DecodeError, KeyError, RuntimeError) as error:
+        said = str(error).strip().splitlines()[0] if str(error) else type(error).__name__
+        raise ReorientError(f"cannot load weights {str(path)!r} ({said}): expected the network's own") from error
+
+
+def _onnx_weights(path: Path) -> dict[str, Tensor]:
+    tensors = onnx.load(path).graph.initializer
+    named = {
+        tensor.name.removesuffix(HALF): torch.from_numpy(numpy_helper.to_array(tensor).copy()) for tensor in tensors
+    }
+    return {name: value for name, value in named.items() if "." in name}
 
 
 def _loader(batches: Batches) -> DataLoader[dict[str, Tensor]]:

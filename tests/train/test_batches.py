@@ -4,25 +4,9 @@ import numpy as np
 import pytest
 
 from reorient import so3
-from reorient.batches import Augmentation, Batches, prepare, split
-from reorient.errors import ReorientError
+from reorient.batches import Augmentation, Batches, prepare
 from reorient.pair_store import PairReader
 from reorient.virtual_camera import turned
-
-
-def test_splits_are_disjoint_whole_and_stable():
-    names = [f"object-{i}" for i in range(872)]
-    parts = split(names)
-    assert (len(parts.train), len(parts.validation), len(parts.test)) == (628, 70, 174)
-    assert sorted(parts.train + parts.validation + parts.test) == list(range(872))
-    shuffled = list(reversed(names))
-    assert {shuffled[i] for i in split(shuffled).test} == {names[i] for i in parts.test}
-    assert len(split(names[:100], 81).test) == 81
-
-
-def test_a_split_with_an_empty_part_is_refused():
-    with pytest.raises(ReorientError, match=r"3 objects, 2 for testing: expected some for training, validation and"):
-        split(["a", "b", "c"], 2)
 
 
 def depth_of(images):

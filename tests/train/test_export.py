@@ -44,6 +44,6 @@ def test_onnx_answers_as_torch_does(network, compact, tolerance, tmp_path):
 def test_weights_of_another_network_are_refused(network, tmp_path):
     name, _, weights = network
     other = "swift" if name == "paper" else "paper"
-    with pytest.raises(ReorientError, match="expected the network's own .safetensors"):
+    with pytest.raises(ReorientError, match="expected the network's own"):
         export(other, weights, tmp_path / "out.onnx")
     assert not (tmp_path / "out.onnx").exists()

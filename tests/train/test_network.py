@@ -1,10 +1,14 @@
 """The networks have the shape the paper gives, and answer unit quaternions."""
 
+import numpy as np
 import pytest
 import torch
 from torch import nn
 
+from reorient import losses
+from reorient.batches import prepare
 from reorient.network import build
+from reorient.pair_store import PairReader
 
 
 @pytest.mark.parametrize("name", ["paper", "swift"])
@@ -38,3 +42,23 @@ def test_the_paper_network_is_siamese():
 def test_swift_begins_with_no_rotation():
     answer = build("swift").eval()(torch.rand(4, 2, 128, 128))
     assert (answer[:, 0] > 0.7).all()
+
+
+@pytest.mark.parametrize("name", ["paper", "swift"])
+def test_it_learns_some_pairs_by_heart(name, small_set):
+    """And their inverses, which it was not shown, it gets wrong: the start is not taken for the goal."""
+    reader = PairReader(small_set)
+    images, quat_wxyz, _ = prepare(reader.read(np.arange(32)), reader)
+    images, true = torch.from_numpy(images), torch.from_numpy(quat_wxyz).float()
+    torch.manual_seed(0)
+    network = build(name)
+    optimizer = torch.optim.Adam(network.parameters(), 3e-4)
+    for _ in range(25):
+        optimizer.zero_grad()
+        losses.mean_loss(network(images), true).backward()
+        optimizer.step()
+    with torch.inference_mode():
+        answer = network(images)
+    nothing = losses.angle_deg(torch.tensor([[1.0, 0, 0, 0]]).expand(32, 4), true).mean()
+    assert losses.angle_deg(answer, true).mean() < 0.4 * nothing
+    assert losses.angle_deg(answer * torch.tensor([1, -1, -1, -1]), true).mean() > nothing

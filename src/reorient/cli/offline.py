@@ -4,7 +4,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from rich.console import Console
 from trimesh import Trimesh
@@ -14,7 +14,7 @@ from reorient.cli.progress import show_progress
 from reorient.errors import ReorientError
 from reorient.evaluation import Evaluation, evaluate
 from reorient.files import make_folder, replacing, write_table
-from reorient.objects import ObjectSet, ObjectSource
+from reorient.objects import ObjectSet, ObjectSource, split
 
 
 def _console() -> Console:
@@ -70,16 +70,23 @@ class List:
     """
 
     objects: ObjectSource = field(default_factory=ObjectSource)
+    part: Literal["all", "train", "validation", "test"] = "all"
+    """Which part of the split that training makes."""
+    paper_filter: bool = False
+    """Only objects that the paper's filter calls non-symmetric."""
     distinctive: bool = False
     """Only non-symmetric objects, of at least 50 faces and an aspect below 12."""
 
     def run(self) -> None:
         """One name a line."""
+        from reorient.paper_filter import passes_paper_filter
         from reorient.statistics import is_distinctive
 
+        tests = [passes_paper_filter] * self.paper_filter + [is_distinctive] * self.distinctive
         objects = self.objects.open()
-        for name in objects.names:
-            if not self.distinctive or ((mesh := _loaded(objects, name)) is not None and is_distinctive(mesh)):
+        chosen = range(len(objects.names)) if self.part == "all" else sorted(getattr(split(objects.names), self.part))
+        for name in (objects.names[i] for i in chosen):
+            if not tests or ((mesh := _loaded(objects, name)) is not None and all(test(mesh) for test in tests)):
                 print(name, flush=True)
 
 
