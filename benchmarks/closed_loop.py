@@ -17,8 +17,8 @@ import tyro
 from rich.progress import track
 
 from reorient import load_estimator, orient, so3
-from reorient.objects import ObjectSource
 from reorient.files import make_folder, write_table
+from reorient.objects import ObjectSource
 from reorient.rendering import load_world
 from reorient.sensing import randomised
 from reorient.stations.rendered import RenderedStation
