@@ -173,8 +173,23 @@ import reorient, reorient.estimators
 print(*sorted({"reorient.so3", "torch", "mujoco", "open3d", "matplotlib"} & Recorder.asked))
 """
 
+HELP = """
+from reorient.cli import main
+try:
+    main(["estimate", "--help"])
+except SystemExit:
+    pass
+"""
+
 
 def test_the_package_asks_for_no_heavy_package():
     """Attempts count, so that the test also holds where they are not installed."""
     run = subprocess.run([sys.executable, "-c", ATTEMPTS], capture_output=True, text=True)
     assert run.stdout.split() == ["reorient.so3"], run.stderr
+
+
+def test_a_verb_of_the_robot_brings_no_meshes_and_no_rays():
+    """Nothing but the file of the verb asked for is imported."""
+    script = ATTEMPTS.replace("import reorient, reorient.estimators", HELP).replace("torch", "trimesh", 1)
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert run.stdout.splitlines()[-1].split() == ["reorient.so3"], run.stderr

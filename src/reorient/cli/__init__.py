@@ -4,16 +4,18 @@ import contextlib
 import io
 import re
 import sys
+from importlib import import_module
 from typing import Any
 
 import tyro
 
-from reorient.cli.learning import Export, Generate, Train
-from reorient.cli.offline import Evaluate, Objects, Report
-from reorient.cli.robot import Capture, Demo, Estimate, Orient
 from reorient.errors import ReorientError
 
-VERBS = (Demo, Estimate, Orient, Capture, Objects, Evaluate, Report, Generate, Train, Export)
+VERBS = {  # by the file that holds them; only the one asked for is imported, as others take meshes and rays with them
+    "robot": ("Demo", "Estimate", "Orient", "Capture"),
+    "offline": ("Objects", "Evaluate", "Report"),
+    "learning": ("Generate", "Train", "Export"),
+}
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -33,11 +35,13 @@ def main(arguments: list[str] | None = None) -> None:
 
 def _parse(arguments: list[str]) -> Any:
     """The verb with its options. Raises ReorientError where tyro prints a box of several lines."""
+    asked = [file for file, verbs in VERBS.items() if arguments and arguments[0].capitalize() in verbs]
+    modules = {file: import_module(f"reorient.cli.{file}") for file in asked or VERBS}
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):
             return tyro.extras.subcommand_cli_from_dict(
-                {verb.__name__.lower(): verb for verb in VERBS},
+                {verb.lower(): getattr(module, verb) for file, module in modules.items() for verb in VERBS[file]},
                 prog="reorient",
                 description="Turn a never-seen object to match a picture.",
                 args=arguments,

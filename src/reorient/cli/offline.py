@@ -178,7 +178,7 @@ class Evaluate:
     """Folder for config.json and rows.csv.gz."""
     config: Evaluation = field(default_factory=Evaluation)
     workers: int = 1
-    """Processes; with one, the times in the rows are honest."""
+    """Processes."""
 
     def run(self) -> None:
         """Measure, then print the tables."""

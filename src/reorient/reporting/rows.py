@@ -38,7 +38,7 @@ class Summary:
     within5_interval: tuple[float, float]
     """Wilson's 95% interval of that share."""
     seconds: float
-    """Median time of an estimate."""
+    """Median processor time of an estimate, all threads together."""
 
 
 def read_rows(folder: str | Path) -> list[Row]:

@@ -64,8 +64,8 @@ def notes(rows: Sequence[Row]) -> str:
     refused = {name: sum(bool(row["message"]) for row in rows if row["estimator"] == name) for name in estimators(rows)}
     said = ", ".join(f"{name} {count}" for name, count in refused.items() if count)
     return (
-        f"Errors in degrees over all pairs of the cell, {_worlds(rows)}; sym.: symmetry-aware; ms: median time of one "
-        'estimate; the interval is Wilson\'s. A refused pair counts as answered "no rotation"'
+        f"Errors in degrees over all pairs of the cell, {_worlds(rows)}; sym.: symmetry-aware; ms: median processor "
+        'time of one estimate, all threads; the interval is Wilson\'s. A refused pair counts as answered "no rotation"'
         + (f" (refused: {said})." if said else "; none was refused.")
     )
 
