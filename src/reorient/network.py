@@ -83,7 +83,7 @@ class SwiftNetwork(nn.Module):
     4 x 4 patches become channels, so that no layer works at the full resolution.
     """
 
-    def __init__(self, dropout: float, channels: tuple[int, int, int] = (48, 96, 160)) -> None:
+    def __init__(self, dropout: float, channels: tuple[int, int, int] = (32, 64, 128)) -> None:
         super().__init__()
         a, b, c = channels
         self.features = nn.Sequential(

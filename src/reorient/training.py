@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import onnx
 import torch
@@ -86,7 +86,7 @@ def train(
     network = build(config.network, config.dropout)
     if warm_start is not None:
         load_weights(network, warm_start)
-    network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    network = cast(Any, network).to(memory_format=torch.channels_last)
     optimizer = torch.optim.Adam(network.parameters(), config.lr, weight_decay=config.weight_decay, fused=True)
     network, optimizer = fabric.setup(network, optimizer)
     state: dict[str, Any] = {
