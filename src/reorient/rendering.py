@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy.random import Generator
 
 from reorient.depth import Camera
@@ -117,6 +117,16 @@ class Renderer:
             depth_m[window] = np.where(hit, hits["tfar"] * placement.scale_m, 0).reshape(shape)
             cosine[window] = np.where(hit, cos, 0).reshape(shape)
         return depth_m, cosine
+
+    def faces(
+        self, camera: Camera, R_camera_object: Float[np.ndarray, "3 3"], placement: Placement
+    ) -> Int[np.ndarray, "height width"]:
+        """Which face of the mesh each pixel's ray hits first; -1 where none."""
+        face = np.full((camera.height, camera.width), -1, np.int32)
+        window, origin, directions = self._rays(camera, R_camera_object, placement)
+        if len(directions):
+            face[window] = self._scene.run(origin, directions, query="INTERSECT").reshape(face[window].shape)
+        return face
 
     def shadowed(
         self,
