@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 import small_gicp
 import trimesh
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
@@ -129,7 +129,14 @@ def object_mask(
         raise ReorientError(
             "no returns in the box around the gripper: expected the gripper in view and the calibration of this cell"
         )
-    mask = _without_specks(segmentation.keep(frame, calibration, inside))
+    rows, columns = (slice(line[0], line[-1] + 1) for line in _extent(inside))
+    part = frame.depth.cropped(
+        columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start
+    )  # the rest of the image can wait
+    mask = np.zeros_like(inside)
+    mask[rows, columns] = _without_specks(
+        segmentation.keep(replace(frame, depth=part), calibration, inside[rows, columns])
+    )
     if not mask.any():
         raise ReorientError(
             "the segmentation leaves nothing: expected an object in the gripper, and a colour range or margin that "
@@ -140,7 +147,7 @@ def object_mask(
 
 def crop(image: DepthImage, least_px: int = CROP_PX, size_px: int = SIZE_PX) -> DepthImage:
     """A square around the returns, of the paper's size unless they need more, resized by nearest neighbour."""
-    rows, columns = (np.nonzero(image.valid.any(axis=axis))[0] for axis in (1, 0))
+    rows, columns = _extent(image.valid)
     side = max(least_px, int(_MARGIN * max(np.ptp(rows), np.ptp(columns))) + 2)
     left, top = (int(np.ceil((line[0] + line[-1] + 1 - side) / 2)) for line in (columns, rows))
     return image.cropped(left, top, side, side).resized(size_px, size_px)
@@ -208,6 +215,12 @@ def _expected_points(frame: Frame, mounted: MountedCamera) -> Float[np.ndarray, 
     if not depth_m.any():
         raise ReorientError("the robot is out of the depth camera's view: expected the calibration of this cell")
     return DepthImage(depth_m, frame.depth.camera).points()
+
+
+def _extent(mask: Mask) -> tuple[Int[np.ndarray, " r"], Int[np.ndarray, " c"]]:
+    """The rows and the columns in which the mask has anything, ascending."""
+    rows, columns = (np.nonzero(mask.any(axis=axis))[0] for axis in (1, 0))
+    return rows, columns
 
 
 def _without_specks(mask: Mask) -> Mask:

@@ -25,7 +25,7 @@ from reorient.files import make_folder, replacing, write_table
 from reorient.objects import ObjectSet
 
 
-def _progress(what: str, states: Iterator[tuple[int, int]]) -> None:
+def progress(what: str, states: Iterator[tuple[int, int]]) -> None:
     """Draw (done, all) states as a bar with the time left."""
     first = next(states)  # bad input is refused before there is a bar
     columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
@@ -75,7 +75,7 @@ class Make:
                         scale_to_radius(mesh, 1.0).export(temporary)
                 yield done, len(objects.names)
 
-        _progress("objects", states())
+        progress("objects", states())
         print(self.out)
 
 
@@ -125,7 +125,7 @@ class Check:
                 rows.append(row)
                 yield len(rows), total
 
-        _progress("objects", states())
+        progress("objects", states())
         if self.out is not None:
             write_table(self.out, rows)
         print_statistics(rows, _console())
@@ -195,7 +195,7 @@ class Evaluate:
         """Measure, then print the tables."""
         from reorient.reporting import print_tables, read_rows
 
-        _progress("pairs", evaluate(self.config, self.out, self.workers))
+        progress("pairs", evaluate(self.config, self.out, self.workers))
         print_tables(read_rows(self.out), _console())
         print(self.out / "rows.csv.gz")
 

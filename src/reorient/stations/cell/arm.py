@@ -3,7 +3,8 @@
 Transforms are (4, 4) ``T_a_b``, taking b to a, metres. World axes are the robot's base: x forward, y left, z up.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mink
@@ -13,7 +14,7 @@ import trimesh
 from jaxtyping import Float
 
 from reorient import so3
-from reorient.calibration import transform
+from reorient.calibration import Transform, moved, transform
 from reorient.errors import ReorientError, StationError
 
 YUMI = Path(__file__).with_name("yumi.xml")
@@ -26,13 +27,15 @@ _SWEEP_RAD = 0.1  # between the checked points of a path
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A rigid shape of the cell, posed in the world."""
+    """A rigid shape of the cell."""
 
     name: str
     """Its body's."""
     mesh: trimesh.Trimesh
+    """In its own frame."""
     rgb: Float[np.ndarray, "3"]
     """In [0, 1]."""
+    T_world_part: Transform
 
 
 class Arm:
@@ -60,6 +63,7 @@ class Arm:
         self.home_rad = self.model.key_qpos[home][self._address]
         speed = self.model.numeric("speed").data if "speed" in _numerics(self.model) else [_SLOWEST_RAD_S]
         self.speed_rad_s = np.broadcast_to(speed, len(self.joints))
+        self._shapes = [_part(self.model, geom) for geom in range(self.model.ngeom)]
         self._configuration = mink.Configuration(self.model)
         self._limits = [mink.ConfigurationLimit(self.model)]
 
@@ -87,13 +91,13 @@ class Arm:
 
     # --- kinematics -------------------------------------------------------------------------------------------------
 
-    def tcp(self, joints_rad: Float[np.ndarray, " n"]) -> Float[np.ndarray, "4 4"]:
+    def tcp(self, joints_rad: Float[np.ndarray, " n"]) -> Transform:
         """T_world_tcp at these joint positions."""
         self._place(joints_rad, 0.0)
         return transform(self.data.site_xmat[self._tcp].reshape(3, 3), self.data.site_xpos[self._tcp])
 
     def solve(
-        self, T_world_tcp: Float[np.ndarray, "4 4"], near_rad: Float[np.ndarray, " n"], fingers_m: float = 0.0
+        self, T_world_tcp: Transform, near_rad: Float[np.ndarray, " n"], fingers_m: float = 0.0
     ) -> Float[np.ndarray, " n"]:
         """Joint positions that bring the tool centre there, within limits, along a free straight path in joint space.
 
@@ -117,7 +121,7 @@ class Arm:
         )
 
     def _descend(
-        self, T_world_tcp: Float[np.ndarray, "4 4"], start_rad: Float[np.ndarray, " n"]
+        self, T_world_tcp: Transform, start_rad: Float[np.ndarray, " n"]
     ) -> Float[np.ndarray, " n"] | None:
         """Inverse kinematics from one start; None where it does not arrive."""
         configuration = self._configuration
@@ -154,7 +158,14 @@ class Arm:
     def parts(self, joints_rad: Float[np.ndarray, " n"], fingers_m: float) -> list[Part]:
         """All shapes, posed in the world; the world's own (a table) are of body ``world``."""
         self._place(joints_rad, fingers_m)
-        return posed_parts(self.model, self.data)
+        return self.posed(self.data)
+
+    def posed(self, data: mujoco.MjData) -> list[Part]:
+        """The same for a state of this model, or of one that was made from it and has the same geoms."""
+        return [
+            replace(shape, T_world_part=transform(data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]))
+            for geom, shape in enumerate(self._shapes)
+        ]
 
     def _place(self, joints_rad: Float[np.ndarray, " n"], fingers_m: float) -> None:
         self.data.qpos[self._address] = joints_rad
@@ -162,21 +173,22 @@ class Arm:
         mujoco.mj_fwdPosition(self.model, self.data)
 
 
-def posed_parts(model: mujoco.MjModel, data: mujoco.MjData) -> list[Part]:
-    """The shapes of a model, posed in the world as its data say."""
-    parts = []
-    for geom in range(model.ngeom):
-        mesh = _shape(model, geom)
-        pose = transform(data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom])
-        body = model.body(model.geom_bodyid[geom]).name
-        parts.append(Part(body, mesh.apply_transform(pose), np.asarray(model.geom_rgba[geom, :3], float)))
-    return parts
+def merged(parts: Sequence[Part]) -> trimesh.Trimesh:
+    """All parts as one mesh in world axes, their faces in the order of the parts."""
+    vertices = [moved(part.T_world_part, part.mesh.vertices) for part in parts]
+    first = np.cumsum([0, *(len(v) for v in vertices)])
+    faces = [part.mesh.faces + offset for part, offset in zip(parts, first, strict=False)]
+    return trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), process=False)
 
 
-def _shape(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:
-    """One geom as a mesh in its own frame."""
-    kind, size = model.geom_type[geom], model.geom_size[geom]
-    types = mujoco.mjtGeom
+def _part(model: mujoco.MjModel, geom: int) -> Part:
+    """One geom in its own frame."""
+    body = model.body(model.geom_bodyid[geom]).name
+    return Part(body, _mesh(model, geom), np.asarray(model.geom_rgba[geom, :3], float), np.eye(4))
+
+
+def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:
+    kind, size, types = model.geom_type[geom], model.geom_size[geom], mujoco.mjtGeom
     if kind == types.mjGEOM_BOX:
         return trimesh.creation.box(2 * size)
     if kind == types.mjGEOM_CAPSULE:
@@ -198,8 +210,8 @@ def _shape(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:
 
 
 def turned(
-    T_world_tcp: Float[np.ndarray, "4 4"], R_step: Float[np.ndarray, "3 3"], at_m: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, "4 4"]:
+    T_world_tcp: Transform, R_step: Float[np.ndarray, "3 3"], at_m: Float[np.ndarray, "3"]
+) -> Transform:
     """The pose turned by R_step (world axes, left), its origin moved to ``at_m``."""
     R = so3.matrix_from_quat(so3.quat_from_matrix(R_step @ T_world_tcp[:3, :3]))  # kept a rotation, move after move
     return transform(R, at_m)

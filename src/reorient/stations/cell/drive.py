@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy.random import Generator
 
-from reorient.calibration import transform
-from reorient.stations.cell.arm import Arm, Part, posed_parts
+from reorient.calibration import Transform, transform
+from reorient.stations.cell.arm import Arm, Part
 
 _PERIOD_S = 0.002
 _SPEED_SHARE = 0.5  # of the joints' limits, at the middle of a move
@@ -100,20 +100,20 @@ class Drive:
         """Where the joints really are. For scoring."""
         return self.data.qpos[self._motor] + self.data.qpos[self._play]
 
-    def true_tcp(self) -> Float[np.ndarray, "4 4"]:
+    def true_tcp(self) -> Transform:
         """T_world_tcp as it really is. For scoring, and for what the cameras see."""
         return self._site(self._tcp)
 
-    def true_held(self) -> Float[np.ndarray, "4 4"]:
+    def true_held(self) -> Transform:
         """The tool frame as the held object knows it: ``true_tcp`` but for what has slipped."""
         return self._site(self._held)
 
     def true_parts(self) -> list[Part]:
         """The shapes of the cell where they really are, without the object."""
         mujoco.mj_fwdPosition(self.model, self.data)
-        return posed_parts(self.model, self.data)
+        return self.arm.posed(self.data)
 
-    def _site(self, site: int) -> Float[np.ndarray, "4 4"]:
+    def _site(self, site: int) -> Transform:
         mujoco.mj_fwdPosition(self.model, self.data)
         return transform(self.data.site_xmat[site].reshape(3, 3), self.data.site_xpos[site])
 

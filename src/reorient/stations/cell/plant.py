@@ -27,6 +27,7 @@ _REACH_M = 0.115  # of the window of the images around the tool centre
 _DENSITY_KG_M3 = 300.0  # of the object's hull: most things are hollow or of plastic
 _SHOW_EMPTY = so3.exp(np.array([0.0, np.radians(75.0), 0.0]))  # R_world_tcp of the empty gripper in view
 _PLACINGS = 300
+_FEWEST_PX = 2000  # of the object, some 6 square centimetres: less of it asks nothing of an estimator
 _STEEPEST_RAD = np.radians(50.0)  # of the approach, up or down: nearly horizontal, so that the arm hides little
 
 
@@ -79,11 +80,11 @@ class Plant:
         """Simulated time."""
         return self._drive.time_s
 
-    def images(self, whole: bool = False) -> tuple[DepthImage, ColorImage]:
-        """What the cameras see now; ``whole``: all of the sensors, not the window around the gripper."""
-        scene = Scene(self._parts())
-        depth, color = (m.camera if whole else self._window(m) for m in (self.depth, self.color))
-        return scene.depth(self._rng, self.depth, depth, self._sensor), scene.color(self._rng, self.color, color)
+    def images(self, colour: bool) -> tuple[DepthImage, ColorImage | None]:
+        """What the cameras see now, in a window around the gripper; the colour camera's only where asked for."""
+        scene = self.scene()
+        depth = scene.depth(self._rng, self.depth, self._window(self.depth), self._sensor)
+        return depth, scene.color(self.color, self._window(self.color), self._rng) if colour else None
 
     # --- the truth --------------------------------------------------------------------------------------------------
 
@@ -92,20 +93,25 @@ class Plant:
         """The object's orientation, by true forward kinematics and what has slipped."""
         return (self._drive.true_held() @ self._held.T_tcp_object)[:3, :3]
 
+    def scene(self) -> Scene:
+        """All there is, as it is."""
+        parts = self._drive.true_parts()
+        return Scene(parts if self._grasp is None else [*parts, self._object(self._drive.true_held())])
+
     def shows_object(self) -> Bool[np.ndarray, "h w"]:
         """The pixels of the depth camera's window whose ray hits the object."""
-        return Scene(self._parts()).shows_object(self.depth, self._window(self.depth))
+        return self.scene().shows_object(self.depth, self._window(self.depth))
 
-    def visible_share(self, joints_rad: Float[np.ndarray, " n"]) -> float:
-        """How much of the object's silhouette the depth camera would see there past arm and fingers."""
+    def is_seen(self, joints_rad: Float[np.ndarray, " n"], least_share: float) -> bool:
+        """Whether, there, the depth camera would see that share of the object's silhouette past arm and fingers."""
         camera = self._window(self.depth)
         camera = camera.resized(camera.width // 4, camera.height // 4)
-        parts = self.arm.parts(joints_rad, self.fingers_m)
         thing = self._object(self.arm.tcp(joints_rad))
-        alone, among = (Scene(p).shows_object(self.depth, camera).sum() for p in ([thing], [*parts, thing]))
-        return float(among / max(alone, 1))
+        others = self.arm.parts(joints_rad, self.fingers_m)
+        alone, among = (Scene(p).shows_object(self.depth, camera).sum() for p in ([thing], [*others, thing]))
+        return bool(among >= max(least_share * alone, _FEWEST_PX / 4**2))
 
-    def hold(self, mesh: trimesh.Trimesh, least_visible: float = 0.7) -> None:
+    def hold(self, mesh: trimesh.Trimesh, least_share: float = 0.7) -> None:
         """Put an object, scaled to the gripper, between the fingers, in a random pose in which the camera sees it.
 
         Raises ReorientError for what cannot be held or cannot be seen.
@@ -114,14 +120,14 @@ class Plant:
             self._grasp = find_grasp(mesh, self._rng, self.arm.stroke_m)
             for _ in range(10):
                 joints_rad = self._somewhere()
-                if joints_rad is not None and self.visible_share(joints_rad) >= least_visible:
+                if joints_rad is not None and self.is_seen(joints_rad, least_share):
                     self._drive = Drive(
                         self.arm, joints_rad, self.fingers_m, self._load(), self._config.errors, self._zero_rad, self._rng
                     )
                     return
         raise ReorientError(
-            f"no pose of the gripper shows {least_visible:.0%} of the object in {_PLACINGS} tries: expected an object "
-            "that reaches out of the fingers"
+            f"no pose of the gripper in {_PLACINGS} shows {least_share:.0%} of the object, and {_FEWEST_PX} pixels: "
+            "expected an object that reaches out of the fingers"
         )
 
     def _somewhere(self) -> Float[np.ndarray, " n"] | None:
@@ -144,13 +150,8 @@ class Plant:
             gyration_m=float(np.sqrt(np.mean(np.sum(hull.vertices**2, axis=1)) / 2)),
         )
 
-    def _parts(self) -> list[Part]:
-        parts = self._drive.true_parts()
-        return parts if self._grasp is None else [*parts, self._object(self._drive.true_held())]
-
     def _object(self, T_world_tcp: Transform) -> Part:
-        mesh = self._held.mesh.copy().apply_transform(T_world_tcp @ self._held.T_tcp_object)
-        return Part(NAME, mesh, self._rgb)
+        return Part(NAME, self._held.mesh, self._rgb, T_world_tcp @ self._held.T_tcp_object)
 
     @property
     def _held(self) -> Grasp:

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-import trimesh
 from jaxtyping import Bool, Float
 from numpy.random import Generator
 
@@ -12,7 +11,7 @@ from reorient.depth import Camera, DepthImage
 from reorient.perception import ColorImage
 from reorient.rendering import Placement, Renderer
 from reorient.sensing import Sensor, sense
-from reorient.stations.cell.arm import Part
+from reorient.stations.cell.arm import Part, merged
 
 # Photoneo PhoXi, looking down from 0.81 m with its image's top to the robot's front; a webcam beside it, tilted inwards
 DEPTH_CAMERA = Camera(1032, 772, 1122.0, 1122.0, 512.0, 384.5)
@@ -59,15 +58,8 @@ class Scene:
     """The cell at one moment."""
 
     def __init__(self, parts: Sequence[Part]) -> None:
-        meshes = [part.mesh for part in parts]
-        mesh = trimesh.Trimesh(
-            np.concatenate([m.vertices for m in meshes]),
-            np.concatenate([
-                m.faces + offset for m, offset in zip(meshes, np.cumsum([0, *(len(m.vertices) for m in meshes)]), strict=False)
-            ]),
-            process=False,
-        )
-        counts = [len(m.faces) for m in meshes]
+        mesh = merged(parts)
+        counts = [len(part.mesh.faces) for part in parts]
         self._colours = np.repeat([part.rgb for part in parts], counts, axis=0)
         self._is_object = np.repeat([part.name == NAME for part in parts], counts)
         self._center_m = mesh.bounds.mean(axis=0)
@@ -77,8 +69,8 @@ class Scene:
         """As the depth camera sees it; ``camera``: the mounted one or a window of it."""
         return sense(rng, self._renderer, camera, *self._pose(mounted), sensor)
 
-    def color(self, rng: Generator, mounted: MountedCamera, camera: Camera) -> ColorImage:
-        """As the colour camera sees it: Lambert's law under two lights, and noise."""
+    def color(self, mounted: MountedCamera, camera: Camera, rng: Generator | None = None) -> ColorImage:
+        """As the colour camera sees it: Lambert's law under two lights, and noise unless ``rng`` is None."""
         R, placement = self._pose(mounted)
         face = self._renderer.faces(camera, R, placement)
         normals = self._renderer.mesh.face_normals[face]
@@ -88,7 +80,8 @@ class Scene:
             strength * np.maximum(normals @ (direction / np.linalg.norm(direction)), 0) for direction, strength in _LIGHTS
         )
         rgb = 255 * self._colours[face] * light[..., None] * (face >= 0)[..., None]
-        rgb += _RGB_NOISE * rng.standard_normal(rgb.shape)
+        if rng is not None:
+            rgb += _RGB_NOISE * rng.standard_normal(rgb.shape)
         return ColorImage(np.clip(rgb, 0, 255).astype(np.uint8), camera)
 
     def shows_object(self, mounted: MountedCamera, camera: Camera) -> Bool[np.ndarray, "h w"]:

@@ -3,7 +3,6 @@
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import trimesh
 from jaxtyping import Float
 from numpy.random import Generator
 
@@ -21,7 +20,7 @@ from reorient.perception import (
     isolate_object,
     learn_gripper_colour,
 )
-from reorient.stations.cell.arm import turned
+from reorient.stations.cell.arm import merged, turned
 from reorient.stations.cell.plant import Plant, PlantConfig
 
 SEGMENTATIONS = ("shape", "colour")
@@ -48,19 +47,19 @@ class CellConfig:
 
 
 class SimulatedCell:
-    """One arm below two cameras that holds one object. ``plant`` is the truth, which only scores may read.
+    """One arm below two cameras. ``plant`` is the truth: ``plant.hold(mesh)`` puts an object into the gripper.
 
-    Its first frame is of the empty gripper, to correct the calibration and to learn the gripper's colour.
+    Made with the gripper empty: the first frame of it corrects the calibration and teaches the gripper's colour.
     """
 
-    def __init__(self, mesh: trimesh.Trimesh, rng: Generator, config: CellConfig | None = None) -> None:
+    def __init__(self, rng: Generator, config: CellConfig | None = None) -> None:
         self.config = config = config or CellConfig()
         self.plant = Plant(config.plant, rng)
         self.arm = self.plant.arm
         self.calibration = config.calibration or Calibration(
             *(_astray(camera, config, rng) for camera in (self.plant.depth, self.plant.color))
         )
-        empty = self.frame()
+        empty = self.frame(colour=True)
         self.calibration = corrected(self.calibration, empty)
         self.segmentations: dict[str, Segmentation] = {"shape": ByShape()}
         if self.calibration.color is not None:
@@ -68,7 +67,6 @@ class SimulatedCell:
             self.segmentations["colour"] = ByColour(colour)
         if config.segmentation not in self.segmentations:
             raise ReorientError("segmentation by colour without a colour camera: expected 'color' in the calibration")
-        self.plant.hold(mesh)
 
     @property
     def pivot_m(self) -> Float[np.ndarray, "3"]:
@@ -77,7 +75,8 @@ class SimulatedCell:
 
     def capture(self) -> DepthImage:
         """The object alone, as the cameras see it now."""
-        return isolate_object(self.frame(), self.calibration, self.segmentations[self.config.segmentation])
+        name = self.config.segmentation
+        return isolate_object(self.frame(name == "colour"), self.calibration, self.segmentations[name])
 
     def rotate(self, R_step: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
         """Turn the gripper about the tool centre; what was done is by the encoders. Raises StationError out of reach."""
@@ -103,15 +102,15 @@ class SimulatedCell:
         target = turned(self.arm.tcp(now_rad), R_step_world, self.plant.tool_m)
         return self.arm.solve(target, now_rad, self.plant.fingers_m)
 
-    def frame(self, whole: bool = False) -> Frame:
-        """What cameras and encoders say now; ``whole``: not only the window around the gripper."""
-        depth, color = self.plant.images(whole)
+    def frame(self, colour: bool) -> Frame:
+        """What cameras and encoders say now; the colour camera is asked only if ``colour``."""
+        depth, color = self.plant.images(colour)
         joints_rad = self.plant.read()
-        robot = [part.mesh for part in self.arm.parts(joints_rad, self.plant.fingers_m) if part.name != "world"]
+        robot = [part for part in self.arm.parts(joints_rad, self.plant.fingers_m) if part.name != "world"]
         return Frame(
             replace(depth, stamp_s=self.plant.time_s),
             color,
-            trimesh.util.concatenate(robot),
+            merged(robot),
             self.arm.tcp(joints_rad)[:3, 3],
         )
 
