@@ -21,6 +21,7 @@ _DOWN = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # R_wo
 _TILT_RAD = 0.17
 _LIGHTS = ((np.array([0.3, 0.5, 0.8]), 0.55), (np.array([-0.6, -0.5, 0.6]), 0.25))  # towards them, world axes
 _AMBIENT = 0.25
+_NOTHING = 0.1  # brightness where there is nothing
 _RGB_NOISE = 4.0  # levels of 255
 NAME = "object"
 
@@ -41,6 +42,16 @@ def mounted_above(place_m: Float[np.ndarray, "3"], height_m: float = 0.81) -> tu
         MountedCamera(DEPTH_CAMERA, transform(_DOWN, depth)),
         MountedCamera(COLOR_CAMERA, transform(tilted, depth + [0.0, -0.1, 0.0])),
     )
+
+
+def observer(tool_m: Float[np.ndarray, "3"], size_px: int) -> MountedCamera:
+    """A camera that shows the whole arm at work, for pictures of the cell: square, from the robot's right front."""
+    eye = tool_m + [0.55, -0.75, 0.5]
+    forward = tool_m + [-0.1, 0.0, 0.07] - eye
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    axes = np.stack([right, np.cross(forward, right), forward], axis=1)
+    f, c = 1.5 * size_px, size_px / 2
+    return MountedCamera(Camera(size_px, size_px, f, f, c, c), transform(axes / np.linalg.norm(axes, axis=0), eye))
 
 
 def window(mounted: MountedCamera, center_m: Float[np.ndarray, "3"], reach_m: float) -> Camera:
@@ -79,7 +90,7 @@ class Scene:
         light = _AMBIENT + sum(
             strength * np.maximum(normals @ (direction / np.linalg.norm(direction)), 0) for direction, strength in _LIGHTS
         )
-        rgb = 255 * self._colours[face] * light[..., None] * (face >= 0)[..., None]
+        rgb = 255 * np.where(face[..., None] >= 0, self._colours[face] * light[..., None], _NOTHING)
         if rng is not None:
             rgb += _RGB_NOISE * rng.standard_normal(rgb.shape)
         return ColorImage(np.clip(rgb, 0, 255).astype(np.uint8), camera)
