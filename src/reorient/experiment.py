@@ -59,7 +59,7 @@ class Experiment:
     trials: int = 10
     """Goals and starts of each object."""
     systems: tuple[str, ...] = ("gicp/algorithm1", "gicp/direct")
-    """Each an estimator and a strategy: algorithm1 (eta 0.2, delta 0.5 degrees) or direct (eta 1), at most 50 images."""
+    """Each an estimator and a strategy: algorithm1 (eta 0.2, delta 0.5°) or direct (eta 1); at most 50 images."""
     ranges_deg: tuple[tuple[float, float], ...] = ((30, 30),)
     """Ranges of the angle between start and goal."""
     noise_mm: float = 0.5
@@ -152,9 +152,7 @@ def stage(
     least 70% of the object is seen, too.
     """
     low, high = range_deg
-    rng = np.random.default_rng(
-        [config.seed, zlib.crc32(name.encode()), trial, round(1000 * low), round(1000 * high)]
-    )
+    rng = np.random.default_rng([config.seed, zlib.crc32(name.encode()), trial, round(1000 * low), round(1000 * high)])
     mesh = _mesh(config.source, name)
     cell = open_cell(config, rng)
     for _ in range(_PLACES):
@@ -188,7 +186,12 @@ def run(config: Experiment, out: Path, workers: int = 1) -> Iterator[tuple[int, 
     make_folder(out)
     yield 0, config.objects * config.trials * len(config.ranges_deg)
     names = chosen(config)
-    tasks = [(config, name, trial, limits) for limits in config.ranges_deg for name in names for trial in range(config.trials)]
+    tasks = [
+        (config, name, trial, limits)
+        for limits in config.ranges_deg
+        for name in names
+        for trial in range(config.trials)
+    ]
     with replacing(out / "config.json") as temporary:
         temporary.write_text(json.dumps(run_record(config, workers=workers, names=names), indent=2) + "\n")
     rows: list[Row] = []
@@ -216,8 +219,8 @@ def chosen(config: Experiment) -> tuple[str, ...]:
         if len(found) == config.objects:
             return tuple(found)
     raise ReorientError(
-        f"{len(found)} of {len(objects.names)} objects can be used: expected {config.objects} without symmetry that the "
-        "gripper can hold in view"
+        f"{len(found)} of {len(objects.names)} objects can be used: expected {config.objects} without symmetry that "
+        "the gripper can hold in view"
     )
 
 
@@ -279,7 +282,11 @@ def _run_trial(task: tuple[Experiment, str, int, tuple[float, float]]) -> tuple[
             continue
         masks += staged.masks
         rows += [dict.fromkeys(COLUMNS, "") | mine | row for row in _loop_rows(*close_loop(config, staged, system))]
-    return rows, [head | row for row in masks]
+    return _as_text(rows), _as_text([head | row for row in masks])
+
+
+def _as_text(rows: list[dict[str, Any]]) -> list[Row]:
+    return [{column: str(cell) for column, cell in row.items()} for row in rows]
 
 
 def _loop_rows(result: OrientResult, errors_deg: list[float]) -> Iterator[dict[str, Any]]:
@@ -306,7 +313,11 @@ def _score_masks(cell: Any, image: str) -> dict[str, Any]:
     """How well each segmentation tells the object: of the returns, and of all pixels whose ray hits the object."""
     frame = cell.frame(colour=True)
     hit = cell.plant.shows_object()
-    row: dict[str, Any] = {"image": image, "pixels": int(hit.sum()), "returned": f"{(hit & frame.depth.valid).sum() / hit.sum():.4f}"}
+    row: dict[str, Any] = {
+        "image": image,
+        "pixels": int(hit.sum()),
+        "returned": f"{(hit & frame.depth.valid).sum() / hit.sum():.4f}",
+    }
     for name, segmentation in cell.segmentations.items():
         try:
             mask = object_mask(frame, cell.calibration, segmentation)

@@ -120,9 +120,7 @@ def isolate_object(
     return crop(replace(frame.depth, depth_m=np.where(mask, frame.depth.depth_m, np.float32(0))))
 
 
-def object_mask(
-    frame: Frame, calibration: Calibration, segmentation: Segmentation, box: Box | None = None
-) -> Mask:
+def object_mask(frame: Frame, calibration: Calibration, segmentation: Segmentation, box: Box | None = None) -> Mask:
     """The returns that are the object's. Raises ReorientError where there are none."""
     inside = (box or Box()).inside(frame, calibration)
     if not inside.any():
@@ -185,7 +183,8 @@ def learn_gripper_colour(empty: Frame, calibration: Calibration, box: Box | None
 def corrected(calibration: Calibration, empty: Frame, reach_m: float = 0.2) -> Calibration:
     """The depth camera's place, put right by laying one frame of the empty gripper onto what it must look like.
 
-    ``reach_m``: half extent of the box around the tool centre that is compared. Raises ReorientError where it cannot be.
+    ``reach_m``: half extent of the box around the tool centre that is compared. Raises ReorientError where gripper and
+    returns are apart.
     """
     inside = Box((reach_m,) * 3).inside(empty, calibration)
     seen_m = empty.depth.camera.rays()[inside] * empty.depth.depth_m[inside][:, None]
@@ -200,15 +199,20 @@ def corrected(calibration: Calibration, empty: Frame, reach_m: float = 0.2) -> C
     T = np.eye(4)
     for gate_m in (_ASTRAY_M, _ASTRAY_M / 3):
         found = small_gicp.align(
-            surface_m, seen_m, T, registration_type="GICP", downsampling_resolution=0.002,
-            max_correspondence_distance=gate_m, num_threads=1,
+            surface_m,
+            seen_m,
+            T,
+            registration_type="GICP",
+            downsampling_resolution=0.002,
+            max_correspondence_distance=gate_m,
+            num_threads=1,
         )
         T = found.T_target_source
     return replace(calibration, depth=replace(calibration.depth, T_world_camera=calibration.depth.T_world_camera @ T))
 
 
 def _expected_points(frame: Frame, mounted: MountedCamera) -> Float[np.ndarray, "n 3"]:
-    """What the depth camera must see of the robot, as points in camera axes. Raises ReorientError where it is nothing."""
+    """What the depth camera must see of the robot, in camera axes. Raises ReorientError where that is nothing."""
     T = mounted.T_camera_world
     center_m = frame.robot.bounds.mean(axis=0)
     depth_m = Renderer(frame.robot).depth(frame.depth.camera, T[:3, :3], Placement(1.0, moved(T, center_m)))

@@ -44,7 +44,9 @@ def read_loops(folder: Path) -> list[Loop]:
     """The loops of a run folder. Raises ReorientError where there are none."""
     keys = ("object", "trial", "low_deg", "high_deg", "estimator", "strategy")
     loops = []
-    for _, group in groupby(read_table(folder / "rows.csv.gz", COLUMNS), key=lambda row: tuple(row[key] for key in keys)):
+    for _, group in groupby(
+        read_table(folder / "rows.csv.gz", COLUMNS), key=lambda row: tuple(row[key] for key in keys)
+    ):
         rows = list(group)
         end = rows[-1]
         if end["image"] != END:
@@ -99,7 +101,11 @@ def summary(loops: Sequence[Loop]) -> list[list[str]]:
 
 def mask_summary(folder: Path) -> list[str]:
     """What the masks amount to, in sentences."""
-    rows = read_table(folder / "masks.csv.gz", ["iou_shape", "iou_shape_all"]) if (folder / "masks.csv.gz").is_file() else []
+    rows = (
+        read_table(folder / "masks.csv.gz", ["iou_shape", "iou_shape_all"])
+        if (folder / "masks.csv.gz").is_file()
+        else []
+    )
     said = []
     for name, words in (("shape", "by the gripper's shape"), ("colour", "by its colour (HSV)")):
         column = f"iou_{name}"
@@ -109,7 +115,7 @@ def mask_summary(folder: Path) -> list[str]:
             said.append(
                 f"Masks {words}: IoU median {np.median(values):.3f}, p10 {np.percentile(values, 10):.3f} over the "
                 f"{len(values)} goal and start images, of the pixels that returned and whose ray hits the object; "
-                f"of all pixels whose ray hits it, whether the sensor returned them or not, median {np.median(every):.3f}."
+                f"of all pixels whose ray hits it, returned by the sensor or not, median {np.median(every):.3f}."
             )
     return said
 
@@ -129,7 +135,7 @@ def print_summary(folder: Path) -> None:
 
 
 def write_cell_report(config: Experiment, folder: Path) -> tuple[Path, Path]:
-    """Write ``report.html`` and ``cell.gif`` into a run folder; returns both paths. Runs one trial again, to show it."""
+    """Write ``report.html`` and ``cell.gif`` into a run folder; returns both paths. Runs one trial again to show it."""
     loops = read_loops(folder)
     staged = [loop for loop in loops if loop.errors_deg]
     if not staged:
@@ -227,7 +233,9 @@ def _caption(loop: Loop) -> str:
 
 def _not_staged(loops: Sequence[Loop]) -> list[str]:
     missing = {_trial(loop): loop.reason for loop in loops if not loop.errors_deg}
-    return [f"Left out, {len(missing)} trials that could not be set up: {next(iter(missing.values()))}"] if missing else []
+    return (
+        [f"Left out, {len(missing)} trials that could not be set up: {next(iter(missing.values()))}"] if missing else []
+    )
 
 
 def _html_table(headings: Sequence[str], lines: Sequence[Sequence[str]]) -> str:

@@ -120,9 +120,7 @@ class Arm:
             else "out of reach: no joint positions within the limits bring the gripper there"
         )
 
-    def _descend(
-        self, T_world_tcp: Transform, start_rad: Float[np.ndarray, " n"]
-    ) -> Float[np.ndarray, " n"] | None:
+    def _descend(self, T_world_tcp: Transform, start_rad: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"] | None:
         """Inverse kinematics from one start; None where it does not arrive."""
         configuration = self._configuration
         q = self.data.qpos * 0
@@ -209,9 +207,7 @@ def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:
     )
 
 
-def turned(
-    T_world_tcp: Transform, R_step: Float[np.ndarray, "3 3"], at_m: Float[np.ndarray, "3"]
-) -> Transform:
+def turned(T_world_tcp: Transform, R_step: Float[np.ndarray, "3 3"], at_m: Float[np.ndarray, "3"]) -> Transform:
     """The pose turned by R_step (world axes, left), its origin moved to ``at_m``."""
     R = so3.matrix_from_quat(so3.quat_from_matrix(R_step @ T_world_tcp[:3, :3]))  # kept a rotation, move after move
     return transform(R, at_m)

@@ -122,7 +122,13 @@ class Plant:
                 joints_rad = self._somewhere()
                 if joints_rad is not None and self.is_seen(joints_rad, least_share):
                     self._drive = Drive(
-                        self.arm, joints_rad, self.fingers_m, self._load(), self._config.errors, self._zero_rad, self._rng
+                        self.arm,
+                        joints_rad,
+                        self.fingers_m,
+                        self._load(),
+                        self._config.errors,
+                        self._zero_rad,
+                        self._rng,
                     )
                     return
         raise ReorientError(

@@ -1,4 +1,4 @@
-"""What the cell's cameras see: one ray-cast scene of table, arm, fingers and object, for depth, colour and the truth."""
+"""What the cell's cameras see: one ray-cast scene of table, arm, fingers and object for depth, colour and truth."""
 
 from collections.abc import Sequence
 
@@ -17,7 +17,9 @@ from reorient.stations.cell.arm import Part, merged
 DEPTH_CAMERA = Camera(1032, 772, 1122.0, 1122.0, 512.0, 384.5)
 COLOR_CAMERA = Camera(1280, 720, 930.0, 930.0, 640.0, 360.0)
 PROJECTOR_M = (0.2, 0.0, 0.0)  # depth camera axes
-_DOWN = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # R_world_camera: x to the right, y to the base
+_DOWN = np.array(
+    [[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]
+)  # R_world_camera: x to the right, y to the base
 _TILT_RAD = 0.17
 _LIGHTS = ((np.array([0.3, 0.5, 0.8]), 0.55), (np.array([-0.6, -0.5, 0.6]), 0.25))  # towards them, world axes
 _AMBIENT = 0.25
@@ -28,9 +30,7 @@ NAME = "object"
 
 def structured_light(noise_m: float) -> Sensor:
     """The depth camera's errors: the package's model, its projector farther off than that of a small camera."""
-    return Sensor(
-        dropout=0.005, noise_m=noise_m, grazing_cos=0.12, flying=0.1, projector_m=PROJECTOR_M
-    )
+    return Sensor(dropout=0.005, noise_m=noise_m, grazing_cos=0.12, flying=0.1, projector_m=PROJECTOR_M)
 
 
 def mounted_above(place_m: Float[np.ndarray, "3"], height_m: float = 0.81) -> tuple[MountedCamera, MountedCamera]:
@@ -40,17 +40,17 @@ def mounted_above(place_m: Float[np.ndarray, "3"], height_m: float = 0.81) -> tu
     tilted = _DOWN @ np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
     return (
         MountedCamera(DEPTH_CAMERA, transform(_DOWN, depth)),
-        MountedCamera(COLOR_CAMERA, transform(tilted, depth + [0.0, -0.1, 0.0])),
+        MountedCamera(COLOR_CAMERA, transform(tilted, depth + np.array([0.0, -0.1, 0.0]))),
     )
 
 
 def observer(tool_m: Float[np.ndarray, "3"], size_px: int) -> MountedCamera:
     """A camera that shows the whole arm at work, for pictures of the cell: square, from the robot's right front."""
-    eye = tool_m + [0.55, -0.75, 0.5]
-    forward = tool_m + [-0.1, 0.0, 0.07] - eye
+    eye = tool_m + np.array([0.55, -0.75, 0.5])
+    forward = tool_m + np.array([-0.05, 0.0, 0.04]) - eye
     right = np.cross(forward, [0.0, 0.0, 1.0])
     axes = np.stack([right, np.cross(forward, right), forward], axis=1)
-    f, c = 1.5 * size_px, size_px / 2
+    f, c = 2.0 * size_px, size_px / 2
     return MountedCamera(Camera(size_px, size_px, f, f, c, c), transform(axes / np.linalg.norm(axes, axis=0), eye))
 
 
@@ -58,10 +58,10 @@ def window(mounted: MountedCamera, center_m: Float[np.ndarray, "3"], reach_m: fl
     """The part of a camera's image that shows a sphere in the world."""
     x, y, z = moved(mounted.T_camera_world, center_m)
     camera = mounted.camera
-    u, v = camera.project(np.array([x, y, z]))
+    pixel = camera.project(np.array([x, y, z]))
     half = np.array([camera.fx, camera.fy]) * reach_m / (z - reach_m)
-    low = np.clip(np.floor((u, v) - half), 0, (camera.width - 1, camera.height - 1)).astype(int)
-    high = np.clip(np.ceil((u, v) + half), low + 1, (camera.width, camera.height)).astype(int)
+    low = np.clip(np.floor(pixel - half), 0, (camera.width - 1, camera.height - 1)).astype(int)
+    high = np.clip(np.ceil(pixel + half), low + 1, (camera.width, camera.height)).astype(int)
     return camera.cropped(int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1]))
 
 
@@ -88,7 +88,8 @@ class Scene:
         away = np.sum(normals * (camera.rays() @ R), axis=-1, keepdims=True) > 0
         normals = np.where(away, -normals, normals)  # both sides of a triangle are seen
         light = _AMBIENT + sum(
-            strength * np.maximum(normals @ (direction / np.linalg.norm(direction)), 0) for direction, strength in _LIGHTS
+            strength * np.maximum(normals @ (direction / np.linalg.norm(direction)), 0)
+            for direction, strength in _LIGHTS
         )
         rgb = 255 * np.where(face[..., None] >= 0, self._colours[face] * light[..., None], _NOTHING)
         if rng is not None:

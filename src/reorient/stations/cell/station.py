@@ -1,4 +1,4 @@
-"""The station over a simulated cell. It knows what a real one would: encoders, images, and a calibration a little off."""
+"""The station over a simulated cell: it knows what a real one would, encoders, images and a calibration a bit off."""
 
 from dataclasses import dataclass, field, replace
 
@@ -79,7 +79,7 @@ class SimulatedCell:
         return isolate_object(self.frame(name == "colour"), self.calibration, self.segmentations[name])
 
     def rotate(self, R_step: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-        """Turn the gripper about the tool centre; what was done is by the encoders. Raises StationError out of reach."""
+        """Turn the gripper about the tool centre; returns what the encoders say. Raises StationError out of reach."""
         before_rad = self.plant.read()
         self.plant.move(self.plan(R_step))
         R_world = self.arm.tcp(self.plant.read())[:3, :3] @ self.arm.tcp(before_rad)[:3, :3].T
