@@ -2,13 +2,19 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test lint clean
+.PHONY: demo demo-cell test test-cell lint clean
 
 demo: .venv/base
 	$(BIN)/reorient demo --out out/demo
 
 test: .venv/dev
 	$(BIN)/pytest -n auto
+
+demo-cell: .venv/cell
+	$(BIN)/reorient cell out/cell --objects 3 --trials 1
+
+test-cell: .venv/cell
+	$(BIN)/pytest tests/cell
 
 lint: .venv/dev
 	$(BIN)/ruff check .
@@ -22,6 +28,10 @@ lint: .venv/dev
 
 .venv/dev: .venv/base
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	touch $@
+
+.venv/cell: .venv/dev
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,cell]'
 	touch $@
 
 clean:

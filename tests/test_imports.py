@@ -19,6 +19,8 @@ ROOMS = [
     "so3",
     "depth",
     "depth_files",
+    "calibration",
+    "colour",
     "meshes",
     "shapes",
     "objects",
@@ -30,11 +32,13 @@ ROOMS = [
     "estimators.base",
     "estimators",
     "pairs",
+    "perception",
     "stations.base",
     "stations",
     "controller",
     "evaluation",
     "statistics",
+    "experiment",
     "pictures",
     "reporting",
     "cli",
@@ -163,6 +167,14 @@ sys.meta_path.insert(0, Recorder())
 import reorient, reorient.estimators
 print(*sorted({"reorient.so3", "torch", "mujoco", "open3d", "matplotlib"} & Recorder.asked))
 """
+
+
+def test_the_command_line_asks_for_no_extra():
+    script = ATTEMPTS.replace("import reorient, reorient.estimators", "import reorient.cli").replace(
+        "matplotlib", "mink"
+    )
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert run.stdout.split() == ["reorient.so3"], run.stderr
 
 
 def test_the_package_asks_for_no_heavy_package():

@@ -6,12 +6,12 @@ here knows whether the cell is real.
 """
 
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import small_gicp
 import trimesh
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, UInt8
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
@@ -53,6 +53,7 @@ class Frame:
     """Between the fingertips, world axes, by the measured joint positions."""
 
 
+@runtime_checkable
 class Segmentation(Protocol):
     """Tells the object from the gripper."""
 
@@ -127,10 +128,8 @@ def object_mask(frame: Frame, calibration: Calibration, segmentation: Segmentati
         raise ReorientError(
             "no returns in the box around the gripper: expected the gripper in view and the calibration of this cell"
         )
-    rows, columns = (slice(line[0], line[-1] + 1) for line in _extent(inside))
-    part = frame.depth.cropped(
-        columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start
-    )  # the rest of the image can wait
+    rows, columns = _extent(inside)  # the rest of the image can wait
+    part = frame.depth.cropped(columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start)
     mask = np.zeros_like(inside)
     mask[rows, columns] = _without_specks(
         segmentation.keep(replace(frame, depth=part), calibration, inside[rows, columns])
@@ -146,8 +145,8 @@ def object_mask(frame: Frame, calibration: Calibration, segmentation: Segmentati
 def crop(image: DepthImage, least_px: int = CROP_PX, size_px: int = SIZE_PX) -> DepthImage:
     """A square around the returns, of the paper's size unless they need more, resized by nearest neighbour."""
     rows, columns = _extent(image.valid)
-    side = max(least_px, int(_MARGIN * max(np.ptp(rows), np.ptp(columns))) + 2)
-    left, top = (int(np.ceil((line[0] + line[-1] + 1 - side) / 2)) for line in (columns, rows))
+    side = max(least_px, int(_MARGIN * max(rows.stop - rows.start, columns.stop - columns.start)) + 2)
+    left, top = ((line.start + line.stop - side) // 2 for line in (columns, rows))
     return image.cropped(left, top, side, side).resized(size_px, size_px)
 
 
@@ -221,10 +220,10 @@ def _expected_points(frame: Frame, mounted: MountedCamera) -> Float[np.ndarray, 
     return DepthImage(depth_m, frame.depth.camera).points()
 
 
-def _extent(mask: Mask) -> tuple[Int[np.ndarray, " r"], Int[np.ndarray, " c"]]:
-    """The rows and the columns in which the mask has anything, ascending."""
+def _extent(mask: Mask) -> tuple[slice, slice]:
+    """The rows and the columns that hold all of a mask."""
     rows, columns = (np.nonzero(mask.any(axis=axis))[0] for axis in (1, 0))
-    return rows, columns
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
 
 def _without_specks(mask: Mask) -> Mask:

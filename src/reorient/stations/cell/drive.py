@@ -66,8 +66,10 @@ class Drive:
         self.fingers_m = fingers_m
         self.model = _with_errors(arm, load, errors)
         self.data = mujoco.MjData(self.model)
-        self._motor = np.array([self.model.joint(arm.model.joint(j).name).qposadr[0] for j in arm.joints])
-        self._play = np.array([self.model.joint(f"{arm.model.joint(j).name} play").qposadr[0] for j in arm.joints])
+        names = [arm.model.joint(j).name for j in arm.joints]
+        self._motor = np.array([self.model.joint(name).qposadr[0] for name in names])
+        plays = [f"{name} play" for name in names] if errors.backlash_rad > 0 else []
+        self._play = np.array([self.model.joint(name).qposadr[0] for name in plays], int)
         self._tcp = self.model.site("tcp").id
         self._held = self.model.site("held").id
         self._target = np.array(joints_rad, float)
@@ -98,7 +100,8 @@ class Drive:
 
     def true_joints(self) -> Float[np.ndarray, " n"]:
         """Where the joints really are. For scoring."""
-        return self.data.qpos[self._motor] + self.data.qpos[self._play]
+        joints_rad = self.data.qpos[self._motor]
+        return joints_rad + self.data.qpos[self._play] if len(self._play) else joints_rad
 
     def true_tcp(self) -> Transform:
         """T_world_tcp as it really is. For scoring, and for what the cameras see."""
@@ -131,10 +134,12 @@ def _with_errors(arm: Arm, load: Load | None, errors: Errors) -> mujoco.MjModel:
     spec.option.timestep = _PERIOD_S
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT  # paths are free: Arm.solve has seen to it
-    half = max(errors.backlash_rad, 1e-9) / 2
+    half = errors.backlash_rad / 2
     for index in arm.joints:
         joint = spec.joint(arm.model.joint(index).name)
         joint.armature = _ARMATURE_KG_M2
+        if half == 0:
+            continue
         play = joint.parent.add_joint(
             name=f"{joint.name} play", type=joint.type, axis=joint.axis, pos=joint.pos, range=[-half, half]
         )
