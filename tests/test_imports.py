@@ -38,6 +38,7 @@ ROOMS = [
     "controller",
     "evaluation",
     "statistics",
+    "cell_trials",
     "experiment",
     "pictures",
     "reporting",

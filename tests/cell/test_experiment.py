@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
+from reorient.cell_trials import Experiment, stage
 from reorient.cli import main
-from reorient.experiment import Experiment, stage
+from reorient.errors import ReorientError
+from reorient.experiment import run
 from reorient.reporting.cell import read_loops
 
-SMALL = ["--objects", "1", "--trials", "1", "--source.count", "60"]
+SMALL = ["--objects", "1", "--trials", "1", "--count", "60"]
 
 
 @pytest.fixture(scope="module")
@@ -28,6 +30,23 @@ def test_rows_masks_page_and_animation(folder):
     page = (folder / "report.html").read_text()
     assert "gicp/direct" in page
     assert 'src="http' not in page
+
+
+def test_an_interrupted_run_goes_on_and_another_config_is_refused(tmp_path):
+    config = Experiment(trials=2, objects=1, systems=("gicp/direct",))
+    states = run(config, tmp_path)
+    assert next(states) == (0, 2)
+    assert next(states) == (1, 2)
+    states.close()  # interrupted
+    with (tmp_path / "trials.jsonl").open("a") as file:
+        file.write("half a li")
+    states = run(config, tmp_path)
+    assert next(states) == (1, 2)
+    assert list(states) == [(2, 2)]
+    assert [loop.trial for loop in read_loops(tmp_path)] == [0, 1]
+    assert list(run(config, tmp_path)) == [(2, 2)]  # nothing is left to do
+    with pytest.raises(ReorientError, match="another config"):
+        next(run(Experiment(trials=3, objects=1), tmp_path))
 
 
 def test_the_same_seed_makes_the_same_stage():

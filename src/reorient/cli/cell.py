@@ -5,13 +5,15 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
+from reorient.cell_trials import Experiment
 from reorient.cli.offline import progress
-from reorient.experiment import Experiment, run
+from reorient.experiment import run
 
 
 @dataclass(frozen=True)
 class Cell:
-    """The paper's experiment on physical objects, in a simulated cell: arm, gripper, two cameras, segmentation.
+    """The paper's experiment on physical objects, in a simulated cell: arm, gripper, two cameras, segmentation. An
+    interrupted run goes on where it stopped.
 
     For example, in a minute or two: reorient cell out/cell --objects 3 --trials 1
     or, larger starts: reorient cell out/far --ranges-deg 30 90 90 180 --systems gicp/direct

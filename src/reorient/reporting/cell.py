@@ -12,8 +12,9 @@ from PIL import Image
 from rich.console import Console
 from rich.table import Table
 
+from reorient.cell_trials import Experiment, close_loop, stage
 from reorient.errors import ReorientError
-from reorient.experiment import COLUMNS, END, Experiment, close_loop, stage
+from reorient.experiment import COLUMNS, END
 from reorient.files import replacing
 from reorient.pictures import depth_range, montage, png_data_uri, shade, write_gif
 from reorient.reporting.figures import error_by_image, errors_by_object, growing_curve

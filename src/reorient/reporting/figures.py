@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 from PIL import Image
 
 from reorient.evaluation import Row
@@ -176,7 +176,7 @@ def error_by_image(panels: Panels, reference_deg: float, reference: str) -> str:
                 axes.plot(range(last), median, **looks[system])
             axes.set(title=title, xlabel="moves", yscale="log")
             axes.xaxis.set_major_locator(MaxNLocator(7, integer=True))
-            axes.yaxis.set_major_formatter(_degrees())
+            _plain_decades(axes)
         grid[0].set_ylabel("error (median, quartiles)")
         _legend_of_looks(figure, looks, reference)
         return _svg(figure)
@@ -197,13 +197,13 @@ def errors_by_object(panels: Panels, names: Sequence[str], reference_deg: float,
                 middle = (index + 0.5) / len(systems) * 0.7 - 0.35
                 colour, hollow = looks[system]["color"], "ls" in looks[system]
                 for place, values in enumerate(errors):
-                    spread = np.linspace(-0.2, 0.2, len(values)) / len(systems)
+                    spread = (np.arange(len(values)) - (len(values) - 1) / 2) * 0.04 / len(systems)
                     fill = "none" if hollow else colour
                     axes.scatter(place + middle + spread, values, s=16, facecolors=fill, edgecolors=colour, lw=0.9)
                     if len(values):
                         axes.hlines(np.median(values), place + middle - 0.12, place + middle + 0.12, color=colour, lw=2)
             axes.set(title=title, yscale="log", ylabel="final error")
-            axes.yaxis.set_major_formatter(_degrees())
+            _plain_decades(axes)
         grid[-1].set_xticks(range(len(names)), names)
         _legend_of_looks(figure, looks, reference)
         return _svg(figure)
@@ -290,6 +290,14 @@ def _colours(names: Iterable[str]) -> dict[str, str]:
 def _legend(figure: Figure, colours: dict[str, str], more: Sequence[Line2D] = ()) -> None:
     handles = [Line2D([], [], color=colour, lw=2.5, label=name) for name, colour in colours.items()] + list(more)
     figure.legend(handles=handles, loc="outside upper left", ncols=min(len(handles), 6))
+
+
+def _plain_decades(axes: Axes) -> None:
+    """Degrees at whole decades alone, at least two of them."""
+    axes.yaxis.set_major_formatter(_degrees())
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    low, high = axes.get_ylim()
+    axes.set_ylim(min(low, 0.095), max(high, 10.5))
 
 
 def _degrees() -> FuncFormatter:
