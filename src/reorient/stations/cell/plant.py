@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from numpy.random import Generator
 
 from reorient import so3
-from reorient.calibration import MountedCamera, Transform, moved, transform
+from reorient.calibration import MountedCamera, Transform, transform
 from reorient.depth import Camera, DepthImage
 from reorient.errors import ReorientError, StationError
 from reorient.perception import ColorImage
@@ -24,7 +24,7 @@ from reorient.stations.cell.grasp import Grasp, find_grasp
 from reorient.stations.cell.scene import NAME, Scene, mounted_above, structured_light, window
 
 _REACH_M = 0.115  # of the window of the images around the tool centre
-_DENSITY_KG_M3 = 300.0  # of the object's hull: most things are hollow or of plastic
+_DENSITY_KG_M3 = 150.0  # of the object's bounding box: most things are hollow or of plastic
 _SHOW_EMPTY = so3.exp(np.array([0.0, np.radians(75.0), 0.0]))  # R_world_tcp of the empty gripper in view
 _PLACINGS = 300
 _FEWEST_PX = 2000  # of the object, some 6 square centimetres: less of it asks nothing of an estimator
@@ -148,12 +148,12 @@ class Plant:
             return None
 
     def _load(self) -> Load:
-        mesh, T = self._held.mesh, self._held.T_tcp_object
-        hull = mesh.convex_hull
+        """As of a box: meshes may be open or flat."""
+        extents_m = np.ptp(self._held.mesh.vertices, axis=0)
         return Load(
-            mass_kg=_DENSITY_KG_M3 * hull.volume,
-            center_m=moved(T, hull.center_mass),
-            gyration_m=float(np.sqrt(np.mean(np.sum(hull.vertices**2, axis=1)) / 2)),
+            mass_kg=max(_DENSITY_KG_M3 * float(np.prod(extents_m)), 0.005),
+            center_m=self._held.T_tcp_object[:3, 3],
+            gyration_m=max(float(np.linalg.norm(extents_m)) / np.sqrt(12), 0.005),
         )
 
     def _object(self, T_world_tcp: Transform) -> Part:
