@@ -15,7 +15,7 @@ class Cell:
     """The paper's experiment on physical objects, in a simulated cell: arm, gripper, two cameras, segmentation. An
     interrupted run goes on where it stopped.
 
-    For example, in a minute or two: reorient cell out/cell --objects 3 --trials 1
+    For example, three trials: reorient cell out/cell --objects 3 --trials 1
     or, larger starts: reorient cell out/far --ranges-deg 30 90 90 180 --systems gicp/direct
     """
 
