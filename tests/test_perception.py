@@ -12,6 +12,7 @@ from reorient.colour import ColourRange
 from reorient.depth import Camera, DepthImage
 from reorient.errors import ReorientError
 from reorient.perception import (
+    Box,
     ByColour,
     ByShape,
     ColorImage,
@@ -156,6 +157,14 @@ def test_a_cell_out_of_view_is_refused():
         object_mask(replace(frame, tool_m=TOOL_M + np.array([0.0, 0.0, 5.0])), TRUE, ByShape())
     with pytest.raises(ReorientError, match="returns where the gripper should be"):
         corrected(Calibration(astray(TRUE.depth, 0.1)), take(holds=False)[0])
+
+
+def test_where_no_gripper_is_in_view_nothing_is_removed():
+    frame, truth = take()
+    away = replace(frame, robot=GRIPPER.copy().apply_translation([3.0, 0.0, 0.0]))
+    assert iou(object_mask(away, TRUE, ByShape(), Box((0.11, 0.11, 0.11))), truth) < 0.9  # the gripper is in it
+    with pytest.raises(ReorientError, match="returns where the gripper should be"):
+        corrected(TRUE, replace(take(holds=False)[0], robot=away.robot))
 
 
 def test_colour_needs_a_colour_camera():

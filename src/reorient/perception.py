@@ -211,13 +211,11 @@ def corrected(calibration: Calibration, empty: Frame, reach_m: float = 0.2) -> C
 
 
 def _expected_points(frame: Frame, mounted: MountedCamera) -> Float[np.ndarray, "n 3"]:
-    """What the depth camera must see of the robot, in camera axes. Raises ReorientError where that is nothing."""
+    """What the depth camera must see of the robot, in camera axes; nothing where the robot is out of its view."""
     T = mounted.T_camera_world
     center_m = frame.robot.bounds.mean(axis=0)
     depth_m = Renderer(frame.robot).depth(frame.depth.camera, T[:3, :3], Placement(1.0, moved(T, center_m)))
-    if not depth_m.any():
-        raise ReorientError("the robot is out of the depth camera's view: expected the calibration of this cell")
-    return DepthImage(depth_m, frame.depth.camera).points()
+    return frame.depth.camera.rays()[depth_m > 0] * depth_m[depth_m > 0][:, None]
 
 
 def _extent(mask: Mask) -> tuple[slice, slice]:

@@ -71,6 +71,11 @@ def test_masks_agree_with_the_pixels_whose_ray_hits_the_object(cell):
         assert (mask & truth).sum() / (mask | truth).sum() > least, name
 
 
+def test_an_object_is_placed_where_camera_and_projector_see_it(cell):
+    assert cell.plant.is_seen(cell.plant.read(), 0.65)  # placed at 0.7, then servos sag
+    assert not cell.plant.is_seen(cell.plant.read(), 1.5)
+
+
 def test_capturing_and_turning_never_read_the_truth(cell, monkeypatch):
     def forbidden(*_):
         raise AssertionError("the truth was read")

@@ -21,7 +21,7 @@ from reorient.perception import ColorImage
 from reorient.stations.cell.arm import YUMI, Arm, Part
 from reorient.stations.cell.drive import Drive, Errors, Load
 from reorient.stations.cell.grasp import Grasp, find_grasp
-from reorient.stations.cell.scene import NAME, Scene, mounted_above, structured_light, window
+from reorient.stations.cell.scene import NAME, Scene, mounted_above, projector_of, structured_light, window
 
 _REACH_M = 0.115  # of the window of the images around the tool centre
 _DENSITY_KG_M3 = 150.0  # of the object's bounding box: most things are hollow or of plastic
@@ -103,13 +103,19 @@ class Plant:
         return self.scene().shows_object(self.depth, self._window(self.depth))
 
     def is_seen(self, joints_rad: Float[np.ndarray, " n"], least_share: float) -> bool:
-        """Whether, there, the depth camera would see that share of the object's silhouette past arm and fingers."""
-        camera = self._window(self.depth)
-        camera = camera.resized(camera.width // 4, camera.height // 4)
+        """Whether, there, that share of the object's silhouette shows past arm and fingers.
+
+        To the depth camera, and to its projector: what is not lit has no depth.
+        """
         thing = self._object(self.arm.tcp(joints_rad))
-        others = self.arm.parts(joints_rad, self.fingers_m)
-        alone, among = (Scene(p).shows_object(self.depth, camera).sum() for p in ([thing], [*others, thing]))
-        return bool(among >= max(least_share * alone, _FEWEST_PX / 4**2))
+        alone, among = Scene([thing]), Scene([*self.arm.parts(joints_rad, self.fingers_m), thing])
+        for eye in (self.depth, projector_of(self.depth)):
+            camera = self._window(eye)
+            camera = camera.resized(camera.width // 4, camera.height // 4)
+            silhouette, shown = (scene.shows_object(eye, camera).sum() for scene in (alone, among))
+            if shown < max(least_share * silhouette, _FEWEST_PX / 4**2):
+                return False
+        return True
 
     def hold(self, mesh: trimesh.Trimesh, least_share: float = 0.7) -> None:
         """Put an object, scaled to the gripper, between the fingers, in a random pose in which the camera sees it.

@@ -44,6 +44,11 @@ def mounted_above(place_m: Float[np.ndarray, "3"], height_m: float = 0.81) -> tu
     )
 
 
+def projector_of(depth: MountedCamera) -> MountedCamera:
+    """The depth camera's projector, as an eye that sees what it lights."""
+    return MountedCamera(depth.camera, depth.T_world_camera @ transform(np.eye(3), np.array(PROJECTOR_M)))
+
+
 def observer(tool_m: Float[np.ndarray, "3"], size_px: int) -> MountedCamera:
     """A camera that shows the whole arm at work, for pictures of the cell: square, from the robot's right front."""
     eye = tool_m + np.array([0.55, -0.75, 0.5])
