@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test test-train lint clean
+.PHONY: demo demo-cell test test-train test-cell lint clean
 
 demo: .venv/base
 	$(BIN)/reorient demo --out out/demo
@@ -12,6 +12,12 @@ test: .venv/dev
 
 test-train: .venv/train
 	$(BIN)/pytest tests/train
+
+demo-cell: .venv/cell
+	$(BIN)/reorient cell out/cell --objects 3 --trials 1
+
+test-cell: .venv/cell
+	$(BIN)/pytest tests/cell
 
 lint: .venv/dev
 	$(BIN)/ruff check .
@@ -29,6 +35,10 @@ lint: .venv/dev
 
 .venv/train: .venv/dev
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[train,cluster]'
+	touch $@
+
+.venv/cell: .venv/dev
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,cell]'
 	touch $@
 
 clean:

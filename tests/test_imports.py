@@ -20,6 +20,8 @@ ROOMS = [
     "depth",
     "depth_files",
     "virtual_camera",
+    "calibration",
+    "colour",
     "meshes",
     "shapes",
     "objects",
@@ -38,11 +40,14 @@ ROOMS = [
     "losses",
     "training",
     "export",
+    "perception",
     "stations.base",
     "stations",
     "controller",
     "evaluation",
     "statistics",
+    "cell_trials",
+    "experiment",
     "pictures",
     "reporting",
     "cli",
@@ -180,6 +185,14 @@ try:
 except SystemExit:
     pass
 """
+
+
+def test_the_command_line_asks_for_no_extra():
+    script = ATTEMPTS.replace("import reorient, reorient.estimators", "import reorient.cli").replace(
+        "matplotlib", "mink"
+    )
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert run.stdout.split() == ["reorient.so3"], run.stderr
 
 
 def test_the_package_asks_for_no_heavy_package():

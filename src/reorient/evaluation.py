@@ -252,15 +252,19 @@ def _loadable(objects: ObjectSet, most: int) -> tuple[str, ...]:
 
 def _write_config(config: Evaluation, out: Path, workers: int) -> None:
     file = out / "config.json"
-    asked = json.loads(json.dumps(asdict(config), default=str))
     if file.is_file():
         if read_config(out) != config:
             raise ReorientError(f"{str(out)!r} holds a run of another config: expected the same, or a new folder")
         return
-    command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
-    run = {"config": asked, "version": __version__, "commit": commit(), "command": command, "workers": workers}
     with replacing(file) as temporary:
-        temporary.write_text(json.dumps(run, indent=2) + "\n")
+        temporary.write_text(json.dumps(run_record(config, workers=workers), indent=2) + "\n")
+
+
+def run_record(config: Any, **more: Any) -> dict[str, Any]:
+    """What made a run, for its config.json: the config (a dataclass), version, commit and command."""
+    asked = json.loads(json.dumps(asdict(config), default=str))
+    command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+    return {"config": asked, "version": __version__, "commit": commit(), "command": command, **more}
 
 
 def _whole_pairs(partial: Path, per_pair: int) -> int:

@@ -119,6 +119,16 @@ class Renderer:
             cosine.reshape(-1)[pixels[hit]] = np.abs(np.sum(normal * ray, axis=0)) / np.where(length > 0, length, 1)
         return depth_m, cosine
 
+    def faces(
+        self, camera: Camera, R_camera_object: Float[np.ndarray, "3 3"], placement: Placement
+    ) -> Int[np.ndarray, "height width"]:
+        """Which face of the mesh each pixel's ray hits first; -1 where none."""
+        face = np.full((camera.height, camera.width), -1, np.int32)
+        window, origin, directions = self._rays(camera, R_camera_object, placement)
+        if len(directions):
+            face[window] = self._scene.run(origin, directions, query="INTERSECT").reshape(face[window].shape)
+        return face
+
     def shadowed(
         self,
         points_m: Float[np.ndarray, "n 3"],

@@ -2,7 +2,7 @@
 
 import base64
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import matplotlib as mpl
@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 from PIL import Image
 
 from reorient.evaluation import Row
@@ -22,6 +22,7 @@ _KNOWN = {"paper": "#cc5a71", "icp": "#8d99ae", "gicp": "#2f6db5", "swift": "#1d
 _SPARE = ("#7b5ea7", "#17a2b8", "#a0522d", "#e377c2", "#6b7f1f", "#444b59")
 _TRUE, _PREDICTED = "#4a90d9", "#e08e1b"
 _DASHES = (0, (3, 2))
+_REFERENCE = "#7a808c"
 _FEWEST = 5  # rows of a bin whose quartiles are worth drawing
 _PAGE_INCHES = 10.6
 _STYLE: Any = {  # matplotlib types the keys as literals, which no plain dict satisfies
@@ -43,6 +44,9 @@ _STYLE: Any = {  # matplotlib types the keys as literals, which no plain dict sa
     "figure.constrained_layout.use": True,
     "svg.hashsalt": "reorient",  # the same figure, the same bytes
 }
+
+Panels = Mapping[str, Mapping[str, Sequence[Sequence[float]]]]
+"""By title and system, lists of errors in degrees."""
 
 
 def error_by_angle(rows: Sequence[Row]) -> str:
@@ -153,6 +157,76 @@ def growing_curve(predicted_deg: Sequence[float], true_deg: Sequence[float], siz
         return frames
 
 
+def error_by_image(panels: Panels, reference_deg: float, reference: str) -> str:
+    """Median and quartiles of the true error at each image of many loops, a panel for each title: an SVG data URI.
+
+    A loop that has ended keeps its last error. ``reference_deg``: a level to compare with, named in the legend.
+    """
+    looks = _looks(panels)
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(_width_inches(max(len(panels), 2)), 3.3))
+        grid = figure.subplots(1, len(panels), squeeze=False, sharey=True)[0]
+        for axes, (title, systems) in zip(grid, panels.items(), strict=True):
+            axes.axhline(reference_deg, color=_REFERENCE, lw=1.2, ls=":", zorder=0)
+            for system, loops in systems.items():
+                last = max(len(errors) for errors in loops)
+                whole = np.array([[*errors, *[errors[-1]] * (last - len(errors))] for errors in loops])
+                first, median, third = np.percentile(whole, [25, 50, 75], axis=0)
+                axes.fill_between(range(last), first, third, color=looks[system]["color"], alpha=0.13, linewidth=0)
+                axes.plot(range(last), median, **looks[system])
+            axes.set(title=title, xlabel="moves", yscale="log")
+            axes.xaxis.set_major_locator(MaxNLocator(7, integer=True))
+            _plain_decades(axes)
+        grid[0].set_ylabel("error (median, quartiles)")
+        _legend_of_looks(figure, looks, reference)
+        return _svg(figure)
+
+
+def errors_by_object(panels: Panels, names: Sequence[str], reference_deg: float, reference: str) -> str:
+    """Every loop's last error above the object's name, its median as a bar: an SVG data URI.
+
+    ``panels``: by title and system, for each of the names the last errors.
+    """
+    looks = _looks(panels)
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(_PAGE_INCHES, 2.9 * len(panels) + 0.6))
+        grid = figure.subplots(len(panels), 1, squeeze=False, sharex=True)[:, 0]
+        for axes, (title, systems) in zip(grid, panels.items(), strict=True):
+            axes.axhline(reference_deg, color=_REFERENCE, lw=1.2, ls=":", zorder=0)
+            for index, (system, errors) in enumerate(systems.items()):
+                middle = (index + 0.5) / len(systems) * 0.7 - 0.35
+                colour, hollow = looks[system]["color"], "ls" in looks[system]
+                for place, values in enumerate(errors):
+                    spread = (np.arange(len(values)) - (len(values) - 1) / 2) * 0.04 / len(systems)
+                    fill = "none" if hollow else colour
+                    axes.scatter(place + middle + spread, values, s=16, facecolors=fill, edgecolors=colour, lw=0.9)
+                    if len(values):
+                        axes.hlines(np.median(values), place + middle - 0.12, place + middle + 0.12, color=colour, lw=2)
+            axes.set(title=title, yscale="log", ylabel="final error")
+            _plain_decades(axes)
+        grid[-1].set_xticks(range(len(names)), names)
+        _legend_of_looks(figure, looks, reference)
+        return _svg(figure)
+
+
+def _looks(panels: Panels) -> dict[str, dict[str, Any]]:
+    """How each system "estimator/strategy" is drawn: the estimator's colour, dashed from its second strategy on."""
+    systems = list(dict.fromkeys(system for panel in panels.values() for system in panel))
+    colours = _colours(dict.fromkeys(system.split("/")[0] for system in systems))
+    looks: dict[str, dict[str, Any]] = {}
+    for system in systems:
+        estimator = system.split("/")[0]
+        again = any(other.split("/")[0] == estimator for other in looks)
+        looks[system] = {"color": colours[estimator]} | ({"ls": _DASHES} if again else {})
+    return looks
+
+
+def _legend_of_looks(figure: Figure, looks: dict[str, dict[str, Any]], reference: str) -> None:
+    handles = [Line2D([], [], **look, label=system) for system, look in looks.items()]
+    handles.append(Line2D([], [], color=_REFERENCE, lw=1.2, ls=":", label=reference))
+    figure.legend(handles=handles, loc="outside upper left", ncols=min(len(handles), 5))
+
+
 def _cells(
     rows: Sequence[Row], least_deg: float, ylabel: str
 ) -> tuple[Figure, list[tuple[Axes, dict[str, np.ndarray]]]]:
@@ -216,6 +290,14 @@ def _colours(names: Iterable[str]) -> dict[str, str]:
 def _legend(figure: Figure, colours: dict[str, str], more: Sequence[Line2D] = ()) -> None:
     handles = [Line2D([], [], color=colour, lw=2.5, label=name) for name, colour in colours.items()] + list(more)
     figure.legend(handles=handles, loc="outside upper left", ncols=min(len(handles), 6))
+
+
+def _plain_decades(axes: Axes) -> None:
+    """Degrees at whole decades alone, at least two of them."""
+    axes.yaxis.set_major_formatter(_degrees())
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    low, high = axes.get_ylim()
+    axes.set_ylim(min(low, 0.095), max(high, 10.5))
 
 
 def _degrees() -> FuncFormatter:

@@ -43,19 +43,23 @@ class Summary:
 
 def read_rows(folder: str | Path) -> list[Row]:
     """The rows of ``rows.csv.gz``. Raises ReorientError where it is missing, broken, empty or lacks columns."""
-    file = Path(folder) / "rows.csv.gz"
+    return read_table(Path(folder) / "rows.csv.gz", COLUMNS)
+
+
+def read_table(file: Path, columns: Sequence[str]) -> list[Row]:
+    """The rows of a table as ``write_table`` writes it. Raises ReorientError as ``read_rows``."""
     if not file.is_file():
-        raise ReorientError(f"no {str(file)!r}: expected config.json and rows.csv.gz of an evaluation")
+        raise ReorientError(f"no {str(file)!r}: expected config.json and {file.name} of a run")
     try:
         with gzip.open(file, "rt", newline="") as text:
             reader = csv.DictReader(text)
             rows = list(reader)
     except (OSError, EOFError, zlib.error, UnicodeDecodeError, csv.Error) as error:
         raise ReorientError(f"cannot read {str(file)!r} ({error}): expected a complete gzip of a CSV table") from error
-    if missing := [column for column in COLUMNS if column not in (reader.fieldnames or ())]:
-        raise ReorientError(f"{str(file)!r} has no column {', '.join(missing)}: expected {', '.join(COLUMNS)}")
+    if missing := [column for column in columns if column not in (reader.fieldnames or ())]:
+        raise ReorientError(f"{str(file)!r} has no column {', '.join(missing)}: expected {', '.join(columns)}")
     if not rows:
-        raise ReorientError(f"{str(file)!r} has no rows: expected one for each estimator and pair")
+        raise ReorientError(f"{str(file)!r} has no rows: expected one for each thing measured")
     for line, row in enumerate(rows, start=2):
         if None in row or None in row.values():
             raise ReorientError(

@@ -1,0 +1,34 @@
+"""The simulated robot cell's verb."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from tyro.conf import Positional
+
+from reorient.cell_trials import Experiment
+from reorient.cli.progress import show_progress
+from reorient.experiment import run
+
+
+@dataclass(frozen=True)
+class Cell:
+    """The paper's experiment on physical objects, in a simulated cell: arm, gripper, two cameras, segmentation. An
+    interrupted run goes on where it stopped.
+
+    For example, three trials: reorient cell out/cell --objects 3 --trials 1
+    or, larger starts: reorient cell out/far --ranges-deg 30 90 90 180 --systems gicp/direct
+    """
+
+    out: Positional[Path]
+    """Folder for config.json, rows.csv.gz, masks.csv.gz, report.html and cell.gif."""
+    config: Experiment = field(default_factory=Experiment)
+    workers: int = 1
+
+    def run(self) -> None:
+        """Run all trials, print the summary, write the page and the animation."""
+        from reorient.reporting.cell import print_summary, write_cell_report
+
+        show_progress("trials", run(self.config, self.out, self.workers))
+        print_summary(self.out)
+        for path in write_cell_report(self.config, self.out):
+            print(path)

@@ -1,0 +1,248 @@
+"""The cell experiment: what its raw rows amount to, one page, and the arm turning an object as an animation."""
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+from rich.console import Console
+from rich.table import Table
+
+from reorient.cell_trials import Experiment, close_loop, stage
+from reorient.errors import ReorientError
+from reorient.experiment import COLUMNS, END
+from reorient.files import replacing
+from reorient.pictures import depth_range, montage, png_data_uri, shade, write_gif
+from reorient.reporting.figures import error_by_image, errors_by_object, growing_curve
+from reorient.reporting.page import inline_image, page
+from reorient.reporting.rows import read_table, wilson
+
+PAPER_DEG = 4.2  # median of the paper's 50 physical trials
+_PAPER = "paper's physical cell, 4.2° (other objects)"
+_PANEL_PX, _FRAME_MS, _LAST_FRAME_MS = 300, 220, 2500
+_SHOWN = 6  # images of the showcase
+
+
+@dataclass(frozen=True)
+class Loop:
+    """One trial of one system, from the raw rows. Angles in degrees."""
+
+    object: str
+    trial: int
+    range_deg: tuple[float, float]
+    system: str
+    errors_deg: tuple[float, ...]
+    """The true error at each image and, last, at the end; empty where the trial could not be set up."""
+    moves: int
+    reason: str
+
+
+def read_loops(folder: Path) -> list[Loop]:
+    """The loops of a run folder. Raises ReorientError where there are none."""
+    keys = ("object", "trial", "low_deg", "high_deg", "estimator", "strategy")
+    loops = []
+    for _, group in groupby(
+        read_table(folder / "rows.csv.gz", COLUMNS), key=lambda row: tuple(row[key] for key in keys)
+    ):
+        rows = list(group)
+        end = rows[-1]
+        if end["image"] != END:
+            raise ReorientError(f"rows of {str(folder)!r} break off: expected an {END!r} row after each loop")
+        errors_deg = tuple(float(row["error_deg"]) for row in rows if row["error_deg"])
+        loops.append(
+            Loop(
+                end["object"],
+                int(end["trial"]),
+                (float(end["low_deg"]), float(end["high_deg"])),
+                f"{end['estimator']}/{end['strategy']}",
+                errors_deg,
+                int(end["moves"] or 0),
+                end["reason"],
+            )
+        )
+    return loops
+
+
+HEADINGS = (
+    *("start", "system", "trials", "median°", "mean°", "p90°", "< 1°", "< 2° (95% interval)", "< 5°", "> 30°"),
+    *("moves, median", "most"),
+)
+
+
+def summary(loops: Sequence[Loop]) -> list[list[str]]:
+    """One line of cells, as in HEADINGS, for each range and system."""
+    lines = []
+    for limits, system in dict.fromkeys((loop.range_deg, loop.system) for loop in loops):
+        mine = [loop for loop in loops if (loop.range_deg, loop.system) == (limits, system) and loop.errors_deg]
+        if not mine:
+            continue
+        final = np.array([loop.errors_deg[-1] for loop in mine])
+        moves = [loop.moves for loop in mine]
+        low, high = wilson(int(np.sum(final < 2)), len(final))
+        lines.append(
+            [
+                _range(limits),
+                system,
+                str(len(mine)),
+                *(f"{x:.2f}" for x in (np.median(final), final.mean(), np.percentile(final, 90))),
+                f"{np.mean(final < 1):.0%}",
+                f"{np.mean(final < 2):.0%} ({100 * low:.0f}–{100 * high:.0f})",
+                f"{np.mean(final < 5):.0%}",
+                f"{np.mean(final > 30):.0%}",
+                f"{np.median(moves):g}",
+                str(max(moves)),
+            ]
+        )
+    return lines
+
+
+def mask_summary(folder: Path) -> list[str]:
+    """What the masks amount to, in sentences."""
+    rows = (
+        read_table(folder / "masks.csv.gz", ["iou_shape", "iou_shape_all"])
+        if (folder / "masks.csv.gz").is_file()
+        else []
+    )
+    said = []
+    for name, words in (("shape", "by the gripper's shape"), ("colour", "by its colour (HSV)")):
+        column = f"iou_{name}"
+        values = np.array([float(row[column]) for row in rows if row.get(column)])
+        every = np.array([float(row[f"{column}_all"]) for row in rows if row.get(column)])
+        if len(values):
+            said.append(
+                f"Masks {words}: IoU median {np.median(values):.3f}, p10 {np.percentile(values, 10):.3f} over the "
+                f"{len(values)} goal and start images, of the pixels that returned and whose ray hits the object; "
+                f"of all pixels whose ray hits it, returned by the sensor or not, median {np.median(every):.3f}."
+            )
+    return said
+
+
+def print_summary(folder: Path) -> None:
+    """The table and the masks on the screen."""
+    loops = read_loops(folder)
+    table = Table(header_style="bold")
+    for index, heading in enumerate(HEADINGS):
+        table.add_column(heading, justify="left" if index < 2 else "right", no_wrap=True)
+    for line in summary(loops):
+        table.add_row(*line)
+    console = Console(width=max(Console().width, 130))
+    console.print(table)
+    for sentence in [*mask_summary(folder), *_not_staged(loops)]:
+        print(sentence)
+
+
+def write_cell_report(config: Experiment, folder: Path) -> tuple[Path, Path]:
+    """Write ``report.html`` and ``cell.gif`` into a run folder; returns both paths. Runs one trial again to show it."""
+    loops = read_loops(folder)
+    staged = [loop for loop in loops if loop.errors_deg]
+    if not staged:
+        raise ReorientError(f"no trial of {str(folder)!r} could be set up: expected starts within the arm's reach")
+    names = list(dict.fromkeys(loop.object for loop in loops))
+    limits = list(dict.fromkeys(loop.range_deg for loop in staged))
+    systems = list(dict.fromkeys(loop.system for loop in staged))
+    by_image = {
+        f"start {_range(r)} away": {
+            s: [loop.errors_deg for loop in staged if (loop.range_deg, loop.system) == (r, s)] for s in systems
+        }
+        for r in limits
+    }
+    by_object = {
+        f"start {_range(r)} away": {
+            s: [
+                [loop.errors_deg[-1] for loop in staged if (loop.range_deg, loop.system, loop.object) == (r, s, name)]
+                for name in names
+            ]
+            for s in systems
+        }
+        for r in limits
+    }
+    short = [name.rsplit("_", 1)[0].split("__")[-1] for name in names]
+    # of the first trial the system with most moves, which shows most
+    first = [loop for loop in staged if (loop.object, loop.trial, loop.range_deg) == _trial(staged[0])]
+    shown = max(first, key=lambda loop: loop.moves)
+    gif, images = _show(config, shown, folder)
+    notes = "".join(f'<p class="note">{escape(x)}</p>' for x in [*mask_summary(folder), *_not_staged(loops)])
+    animation = "data:image/gif;base64," + base64.b64encode(gif.read_bytes()).decode()
+    sections = {
+        "Final errors": _html_table(HEADINGS, summary(loops)) + notes,
+        "Error against iteration": inline_image(error_by_image(by_image, PAPER_DEG, _PAPER), "error at each image"),
+        "Final errors by object": inline_image(
+            errors_by_object(by_object, short, PAPER_DEG, _PAPER), "the last error of each trial, by object"
+        ),
+        "Images at intermediate iterations": inline_image(images, "goal and images of one loop", dark=True),
+        "The arm": inline_image(animation, "the arm turns the object to its goal", _caption(shown), dark=True),
+    }
+    html = folder / "report.html"
+    lead = (
+        f"{len(names)} objects, {len({_trial(loop) for loop in staged})} trials, in a simulated cell: a YuMi arm with "
+        "servo errors and backlash, a structured-light depth camera and a colour camera, both calibrated a little off. "
+        f"Depth noise {config.noise_mm:g} mm, the gripper removed by its {config.segmentation}. Errors by true forward "
+        "kinematics."
+    )
+    with replacing(html) as temporary:
+        temporary.write_text(page("Orienting held objects in a simulated cell", lead, sections), encoding="utf-8")
+    return html, gif
+
+
+def _show(config: Experiment, loop: Loop, folder: Path) -> tuple[Path, str]:
+    """Run a loop again; its animation, and a row of its images as a data URI."""
+    from reorient.stations.cell.scene import observer
+
+    staged = stage(config, loop.object, loop.trial, loop.range_deg)
+    plant = staged.cell.plant
+    camera = observer(plant.tool_m, _PANEL_PX)
+
+    def view() -> Image.Image:
+        return Image.fromarray(plant.scene().color(camera, camera.camera).rgb)
+
+    views = [view()]
+    result, errors_deg = close_loop(config, staged, loop.system, (lambda step: views.append(view()),))
+    images = [staged.goal, *(step.image for step in result.steps)]
+    range_m = depth_range(images)
+    goal, *seen = (shade(image, _PANEL_PX, range_m) for image in images)
+    predicted_deg = [float(np.degrees(step.estimate.angle_rad)) for step in result.steps]
+    curves = growing_curve(predicted_deg, errors_deg[: len(seen)], _PANEL_PX)
+    frames = [
+        montage([cell, curve, goal, picture], 2, ["the cell", f"after {index} moves", "goal", "now"])
+        for index, (cell, curve, picture) in enumerate(zip(views, curves, seen, strict=False))
+    ]
+    gif = folder / "cell.gif"
+    write_gif(gif, frames, _FRAME_MS, _LAST_FRAME_MS)
+    at = np.unique(np.linspace(0, len(seen) - 1, _SHOWN).round().astype(int))
+    labels = ["goal", *(f"{i} moves: {errors_deg[i]:.1f}°" for i in at)]
+    return gif, png_data_uri(montage([goal, *(seen[i] for i in at)], len(labels), labels))
+
+
+def _trial(loop: Loop) -> tuple[str, int, tuple[float, float]]:
+    return loop.object, loop.trial, loop.range_deg
+
+
+def _range(limits: tuple[float, float]) -> str:
+    return f"{limits[0]:g}°" if limits[0] == limits[1] else f"{limits[0]:g}–{limits[1]:g}°"
+
+
+def _caption(loop: Loop) -> str:
+    return (
+        f"<b>{escape(loop.object)}</b>, trial {loop.trial}, {escape(loop.system)}: from {loop.errors_deg[0]:.1f} to "
+        f"{loop.errors_deg[-1]:.2f} degrees in {loop.moves} moves. Ended because: {escape(loop.reason)}."
+    )
+
+
+def _not_staged(loops: Sequence[Loop]) -> list[str]:
+    missing = {_trial(loop): loop.reason for loop in loops if not loop.errors_deg}
+    return (
+        [f"Left out, {len(missing)} trials that could not be set up: {next(iter(missing.values()))}"] if missing else []
+    )
+
+
+def _html_table(headings: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    def row(cells: Sequence[str], tag: str) -> str:
+        sides = [' class="word"' if index < 2 else "" for index in range(len(cells))]
+        return "<tr>" + "".join(f"<{tag}{s}>{escape(c)}</{tag}>" for s, c in zip(sides, cells, strict=True)) + "</tr>"
+
+    body = "".join(row(line, "td") for line in lines)
+    return f'<div class="wide"><table><thead>{row(headings, "th")}</thead><tbody>{body}</tbody></table></div>'

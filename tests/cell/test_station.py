@@ -1,0 +1,116 @@
+import numpy as np
+import pytest
+
+from reorient import Proportional, Station, load_estimator, orient, so3
+from reorient.calibration import Calibration, moved
+from reorient.colour import ColourRange
+from reorient.errors import ReorientError, StationError
+from reorient.perception import object_mask
+from reorient.stations.cell import SimulatedCell
+from reorient.stations.cell.station import CellConfig
+
+from .conftest import holding
+
+TURN = so3.exp(np.radians([6.0, -8.0, 5.0]))  # camera axes
+
+
+def truly(cell):
+    """The object's true orientation in the true camera's axes."""
+    return cell.plant.depth.T_world_camera[:3, :3].T @ cell.plant.R_world_object
+
+
+def test_it_is_a_station(cell):
+    assert isinstance(cell, Station)
+    image = cell.capture()
+    assert image.depth_m.shape == (128, 128)
+    assert image.stamp_s is not None
+    assert image.stamp_s > 0
+
+
+def test_without_errors_it_turns_as_asked_on_the_left_in_camera_axes(perfect):
+    before = truly(perfect)
+    R_executed = perfect.rotate(TURN)
+    done = truly(perfect) @ before.T
+    assert so3.angle_difference(done, TURN) < np.radians(0.2)  # the servos sag
+    assert so3.angle_difference(done, R_executed) < np.radians(0.02)
+
+
+def test_it_reports_what_was_done_by_encoders(cell):
+    before = truly(cell)
+    R_executed = cell.rotate(TURN)
+    done = truly(cell) @ before.T
+    assert 0 < so3.angle_difference(done, R_executed) < np.radians(0.3)
+    assert so3.angle_difference(done, TURN) < np.radians(0.4)
+
+
+def test_the_pivot_stays_and_is_where_the_object_turns(cell):
+    true_m = moved(cell.plant.depth.T_camera_world, cell.plant.tool_m)
+    assert np.linalg.norm(cell.pivot_m - true_m) < 0.01
+    cell.rotate(TURN)
+    assert np.linalg.norm(cell.pivot_m - true_m) < 0.01
+
+
+def test_out_of_reach_is_refused_before_anything_moves(cell):
+    axes = so3.sample_axes(np.random.default_rng(0), 40)
+    refused = [R for R in so3.exp(3.1 * axes) if not cell.reachable(R)]
+    assert refused  # no arm turns the gripper any way
+    before = cell.plant.R_world_object
+    with pytest.raises(StationError, match="out of reach"):
+        cell.rotate(refused[0])
+    with pytest.raises(StationError, match=r"expected a \(3, 3\) rotation matrix"):
+        cell.rotate(2 * np.eye(3))
+    np.testing.assert_array_equal(cell.plant.R_world_object, before)
+    assert cell.reachable(TURN)
+
+
+def test_masks_agree_with_the_pixels_whose_ray_hits_the_object(cell):
+    frame = cell.frame(colour=True)
+    truth = cell.plant.shows_object() & frame.depth.valid
+    for name, least in (("shape", 0.93), ("colour", 0.7)):
+        mask = object_mask(frame, cell.calibration, cell.segmentations[name])
+        assert (mask & truth).sum() / (mask | truth).sum() > least, name
+
+
+def test_an_object_is_placed_where_camera_and_projector_see_it(cell):
+    assert cell.plant.is_seen(cell.plant.read(), 0.65)  # placed at 0.7, then servos sag
+    assert not cell.plant.is_seen(cell.plant.read(), 1.5)
+
+
+def test_capturing_and_turning_never_read_the_truth(cell, monkeypatch):
+    def forbidden(*_):
+        raise AssertionError("the truth was read")
+
+    for name in ("R_world_object", "shows_object", "is_seen"):
+        monkeypatch.setattr(type(cell.plant), name, property(forbidden))
+    cell.capture()
+    cell.rotate(TURN)
+    assert cell.pivot_m.shape == (3,)
+    assert not any(np.array_equal(cell.calibration.depth.T_world_camera, m.T_world_camera) for m in (cell.plant.depth,))
+
+
+@pytest.mark.parametrize("segmentation", ["shape", "colour"])
+def test_the_loop_closes(mesh, segmentation):
+    cell = holding(mesh, seed=1, segmentation=segmentation)
+    goal, R_goal = cell.capture(), cell.plant.R_world_object
+    axes = so3.sample_axes(np.random.default_rng(2), 50)
+    cell.rotate(next(R for R in so3.exp(np.radians(30) * axes) if cell.reachable(R)))
+    assert so3.angle_difference(cell.plant.R_world_object, R_goal) > np.radians(29)
+    result = orient(cell, goal, load_estimator("gicp"), Proportional(max_steps=8, eta=1.0))
+    assert so3.angle_difference(cell.plant.R_world_object, R_goal) < np.radians(1.5), result.reason
+
+
+def test_the_same_seed_makes_the_same_cell(mesh):
+    one, two = holding(mesh, seed=3), holding(mesh, seed=3)
+    np.testing.assert_array_equal(one.capture().depth_m, two.capture().depth_m)
+
+
+def test_what_cannot_be_is_refused(mesh, rng):
+    with pytest.raises(ReorientError, match="did you mean 'colour'"):
+        CellConfig(segmentation="color")
+    cell = SimulatedCell(rng)
+    with pytest.raises(ReorientError, match="the gripper is empty"):
+        cell.plant.R_world_object  # noqa: B018
+    with pytest.raises(ReorientError, match="expected 'color' in the calibration"):
+        SimulatedCell(rng, CellConfig(segmentation="colour", calibration=Calibration(cell.plant.depth)))
+    with pytest.raises(ReorientError, match="the segmentation leaves nothing"):
+        holding(mesh, segmentation="colour", gripper_colour=ColourRange()).capture()
