@@ -19,6 +19,7 @@ ROOMS = [
     "so3",
     "depth",
     "depth_files",
+    "planes",
     "meshes",
     "shapes",
     "objects",
@@ -34,8 +35,10 @@ ROOMS = [
     "stations",
     "controller",
     "evaluation",
+    "judging",
     "statistics",
     "pictures",
+    "explaining",
     "reporting",
     "cli",
     "",  # the package itself

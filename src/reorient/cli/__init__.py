@@ -8,11 +8,12 @@ from typing import Any
 
 import tyro
 
+from reorient.cli.judging import Judge
 from reorient.cli.offline import Evaluate, Objects, Report
 from reorient.cli.robot import Capture, Demo, Estimate, Orient
 from reorient.errors import ReorientError
 
-VERBS = (Demo, Estimate, Orient, Capture, Objects, Evaluate, Report)
+VERBS = (Demo, Estimate, Orient, Capture, Objects, Evaluate, Report, Judge)
 
 
 def main(arguments: list[str] | None = None) -> None:
