@@ -17,7 +17,7 @@ def in_words(estimate: RotationEstimate) -> str:
     """How sure the estimate is, and what else may be meant, in one or two sentences."""
     if estimate.confidence is None:
         return "confidence is not calibrated for this estimator"
-    said = f"{estimate.confidence:.0%} sure to be within 5 degrees (or within 5 degrees of an orientation that looks alike)"
+    said = f"{estimate.confidence:.0%} sure to be within 5 degrees of the goal, or of an orientation that looks like it"
     if not estimate.alternatives:
         return said
     turns = [so3.log(R @ estimate.R_goal_current.T) for R, _ in estimate.alternatives]
@@ -32,16 +32,16 @@ def in_words(estimate: RotationEstimate) -> str:
     first = float(np.clip(1 - sum(probability for _, probability in estimate.alternatives), 0, 1))
     chances = ", ".join(f"{p:.0%}" for p in [first, *(p for _, p in estimate.alternatives)])
     return (
-        f"{said}; {count} orientations fit about equally well ({chances}): the object looks symmetric{about}, or the views "
-        f"leave it open; the others are {away} degrees from the answer"
+        f"{said}; {count} orientations fit about equally well ({chances}): the object looks symmetric{about}, or the "
+        f"views leave it open; the others are {away} degrees from the answer"
     )
 
 
 def picture(current: DepthImage, goal: DepthImage, estimate: RotationEstimate, size_px: int = 256) -> Image.Image:
     """Current, goal, current turned by the answer, and where that disagrees with the goal, side by side.
 
-    Green fits; red stands before the goal's surface, which the camera saw; orange falls outside the goal's outline; blue
-    lies behind the surface, where it may be hidden.
+    Green fits; red stands before the goal's surface, which the camera saw; orange falls outside the goal's outline;
+    blue lies behind the surface, where it may be hidden.
     """
     points_m = current.points() @ estimate.R_goal_current.T + estimate.t_goal_current_m
     turned = _seen_by(goal, points_m)
