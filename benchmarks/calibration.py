@@ -1,4 +1,4 @@
-"""What a confidence is worth: reliability, expected calibration error, risk against coverage, from an evaluation's rows.
+"""What a confidence is worth, from an evaluation's rows: reliability, calibration error, risk against coverage.
 
     python benchmarks/calibration.py results/default-pivot
 
