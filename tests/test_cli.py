@@ -59,11 +59,14 @@ def test_estimate(pair, capsys):
     assert np.degrees(so3.angle_difference(R, truth.R_goal_current)) < 0.5
     np.testing.assert_allclose(so3.matrix_from_quat(np.array(said["quat_wxyz"])), R, atol=1e-9)
     assert said["angle_deg"] == pytest.approx(20, abs=0.5)
-    assert said["confidence"] is None
+    assert 0 < said["confidence"] <= 1
     assert said["evidence"]["fit"] > 0.5
     main(["estimate", str(folder / "now.npz"), str(folder / "goal.npz"), "--estimator", "icp"])
     words = capsys.readouterr().out
     assert all(word in words for word in ("degrees about [", "wxyz", "matrix", "evidence", "not calibrated"))
+    main(["estimate", str(folder / "now.npz"), str(folder / "goal.npz"), "--explain", str(folder / "why.png")])
+    assert "sure to be within 5 degrees" in capsys.readouterr().out
+    assert Image.open(folder / "why.png").width > 1000
 
 
 def test_estimate_from_raw_frames_isolated_separately(pair, capsys):

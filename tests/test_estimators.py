@@ -13,6 +13,7 @@ from reorient.rendering import Placement, Renderer, load_world
 from reorient.sensing import Sensor, randomised
 
 WORLD = load_world("benchmark")
+GEOMETRIC = [name for name in NAMES if name not in ("paper", "swift")]  # networks: test_learned
 
 
 def pair_of(mesh, seed=0, angle_deg=20.0, sensor=None):
@@ -25,7 +26,7 @@ def error_deg(estimate, pair):
     return float(np.degrees(so3.angle_difference(estimate.R_goal_current, pair.R_goal_current)))
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", GEOMETRIC)
 def test_known_rotation(mesh, name):
     # ICP ends in a local minimum now and then: most of ten pairs, and the best of them well
     pairs = [pair_of(mesh, seed) for seed in range(10)]
@@ -34,7 +35,7 @@ def test_known_rotation(mesh, name):
     assert np.mean(errors < 5) >= (1.0 if name != "icp" else 0.7)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", GEOMETRIC)
 def test_direction(mesh, name):
     """The inverse, right multiplication (conjugation by the start) and exchanged images are all told apart."""
     pair = pair_of(mesh, seed=3, angle_deg=25)
@@ -47,7 +48,7 @@ def test_direction(mesh, name):
     assert np.degrees(so3.angle_difference(exchanged.R_goal_current, R.T)) < 3
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", GEOMETRIC)
 def test_translation_maps_the_object_onto_the_goal(mesh, name):
     pair = pair_of(mesh, seed=3)
     estimate = load_estimator(name).estimate(pair.current, pair.goal)

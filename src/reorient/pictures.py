@@ -15,6 +15,7 @@ from reorient import so3
 from reorient.depth import DepthImage
 from reorient.errors import ReorientError
 from reorient.files import replacing
+from reorient.planes import fit_planes
 from reorient.rendering import Placement, Renderer, load_world
 
 BACKGROUND = (24, 27, 33)
@@ -23,8 +24,6 @@ INK = (214, 218, 226)
 _TINTS = np.array([(255, 226, 178), (244, 176, 132), (196, 132, 150), (112, 118, 176), (62, 92, 150)], float)
 # unit vectors towards the lights, camera axes
 _KEY, _FILL = (np.array(v) / np.linalg.norm(v) for v in ([-0.55, -0.75, -0.75], [0.9, 0.15, -0.5]))
-_WINDOW = np.argwhere(np.ones((5, 5))) - 2  # row and column offsets of a plane fit
-_EDGE_SLOPE = 3.0  # depth per pixel, in pixel widths, beyond which a neighbour hardly counts as the same surface
 _OUTLINE_PX = 0.6  # still keeps bars one pixel wide
 _COLOURS = 128  # of a GIF
 
@@ -147,7 +146,7 @@ def _text(text: str, size: tuple[int, int], text_px: int) -> Image.Image:
 
 def _light(image: DepthImage) -> Float[np.ndarray, " n"]:
     """Brightness (about 0.2 to 1.1) of every return under two lights."""
-    normals = _normals(image)
+    normals = fit_planes(image).normals
     rays = image.camera.rays()[image.valid]
     towards = -rays / np.linalg.norm(rays, axis=1, keepdims=True)
     halfway = towards + _KEY
@@ -155,26 +154,3 @@ def _light(image: DepthImage) -> Float[np.ndarray, " n"]:
     key, fill = np.maximum(normals @ _KEY, 0), np.maximum(normals @ _FILL, 0)
     gleam = np.maximum(np.sum(normals * halfway, axis=1), 0) ** 24
     return 0.24 + 0.68 * key + 0.2 * fill + 0.14 * gleam
-
-
-def _normals(image: DepthImage) -> Float[np.ndarray, "n 3"]:
-    """Unit normals of the returns, towards the camera: planes fitted to the neighbours on the same side of depth edges.
-
-    A plane is linear in inverse depth over the image, so the fit is a small weighted regression at every pixel.
-    """
-    camera = image.camera
-    inverse = np.zeros_like(image.depth_m, float)
-    inverse[image.valid] = 1 / image.depth_m[image.valid]
-    rows, columns = np.nonzero(image.valid)
-    center = inverse[rows, columns][:, None]
-    near = np.pad(inverse, 2)[rows[:, None] + _WINDOW[:, 0] + 2, columns[:, None] + _WINDOW[:, 1] + 2]
-    slope = (near - center) / center * np.sqrt(camera.fx * camera.fy)  # in pixel widths
-    weight = np.exp(-np.sum(_WINDOW**2, axis=1) / 4 - (slope / _EDGE_SLOPE) ** 2) * (near > 0)
-    basis = np.concatenate([_WINDOW[:, ::-1], np.ones((len(_WINDOW), 1))], axis=1)  # column, row, 1
-    products = np.einsum("ki,kj->kij", basis, basis).reshape(len(basis), 9)
-    left = (weight @ products).reshape(-1, 3, 3) + 1e-6 * np.diag([1.0, 1.0, 0.0])  # a lone return faces the camera
-    du, dv, value = np.moveaxis(np.linalg.solve(left, ((weight * near) @ basis)[..., None])[..., 0], -1, 0)
-    x, y, _ = np.moveaxis(camera.rays()[image.valid], -1, 0)
-    a, b = du * camera.fx, dv * camera.fy
-    normals = -np.stack([a, b, value - a * x - b * y], axis=-1)
-    return normals / np.linalg.norm(normals, axis=1, keepdims=True)

@@ -15,6 +15,7 @@ VERBS = {  # by the file that holds them; only the one asked for is imported, as
     "robot": ("Demo", "Estimate", "Orient", "Capture"),
     "offline": ("Objects", "Evaluate", "Report"),
     "learning": ("Generate", "Train", "Export"),
+    "judging": ("Judge",),
     "cell": ("Cell",),
 }
 

@@ -180,15 +180,23 @@ class Estimate:
     """Rotation centre in camera axes, m, good to about 1 cm, if known."""
     json: bool = False
     """Print one JSON object instead of words."""
+    explain: Path | None = None
+    """Draw current, goal, current turned by the answer, and where they disagree (.png)."""
 
     def run(self) -> None:
-        """Read, isolate, estimate, print."""
+        """Read, isolate, estimate, print, draw."""
         from reorient.estimators import load_estimator
 
         estimator = load_estimator(self.estimator)
         current, goal = self.frames.read(self.current, 0), self.frames.read(self.goal, 1)
         pivot_m = None if self.pivot is None else np.array(self.pivot)
         estimate = estimator.estimate(current, goal, pivot_m)
+        if self.explain is not None:
+            from reorient.explaining import picture
+            from reorient.files import replacing
+
+            with replacing(self.explain) as temporary:
+                picture(current, goal, estimate).save(temporary)
         print(json.dumps(_as_data(estimate), indent=2) if self.json else _in_words(estimate))
 
 
@@ -212,15 +220,16 @@ def _as_data(estimate: "RotationEstimate") -> dict[str, Any]:
 
 
 def _in_words(estimate: "RotationEstimate") -> str:
+    from reorient.explaining import in_words
+
     data, evidence = _as_data(estimate), estimate.evidence
     rows = "\n           ".join(" ".join(f"{x:9.6f}" for x in row) for row in data["R_goal_current"])
-    confidence = "not calibrated" if estimate.confidence is None else f"{estimate.confidence:.0%} below 5 degrees"
     return "\n".join(
         [
             f"angle      {data['angle_deg']:.3f} degrees about [{' '.join(f'{x:.4f}' for x in data['axis'])}]",
             f"wxyz       {' '.join(f'{x:.6f}' for x in data['quat_wxyz'])}",
             f"matrix     {rows}",
-            f"confidence {confidence}",
+            f"confidence {in_words(estimate)}",
             f"evidence   {evidence.fit:.0%} of points fit (rms {1000 * evidence.residual_m:.2f} mm), "
             f"{evidence.in_front:.0%} in front, {evidence.outside:.0%} outside, {evidence.behind:.0%} hidden",
         ]

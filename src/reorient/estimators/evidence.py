@@ -9,10 +9,15 @@ In front and outside speak against the hypothesis, behind says nothing.
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy import ndimage
 
 from reorient.depth import DepthImage
+
+GAP_PX = 2.0  # holes and gaps no wider either way count as surface
+NOWHERE_M = np.float32(1e3)  # the surface's depth where there is none: whatever comes before it contradicts
+_PAD = 4  # pixels around the image, more than the gap
+_AT_ONCE = 64  # hypotheses
 
 
 @dataclass(frozen=True)
@@ -44,30 +49,88 @@ class View:
     """One depth image made ready to be compared with many moved point sets."""
 
     def __init__(self, image: DepthImage, points: int = 400) -> None:
-        self.camera = image.camera
-        valid = image.valid
-        all_points = image.points()
-        chosen = np.linspace(0, len(all_points) - 1, min(points, len(all_points))).astype(int)
-        self.points_m = all_points[chosen].astype(np.float32)
-        """(n, 3) returns spread evenly over the image, camera axes."""
+        camera = image.camera
+        self.all_points_m = image.points().astype(np.float32)
+        """(m, 3) all returns, row by row, camera axes."""
+        self.points_m = self.all_points_m[evenly(len(self.all_points_m), points)]
+        """(n, 3) of them, spread evenly over the image."""
+        valid = np.pad(image.valid, _PAD)
         distance, nearest = ndimage.distance_transform_edt(~valid, return_indices=True)
-        self._gap_px = distance.astype(np.float32)
-        self._depth_m = image.depth_m[tuple(nearest)]  # holes take the nearest return's depth
+        order = np.zeros(valid.shape, int)
+        order[valid] = np.arange(len(self.all_points_m))
+        # flat tables over the padded image; a point beyond it meets the outermost pixel
+        self._height, self._width = valid.shape
+        self._nearest = order[tuple(nearest)].ravel()  # the nearest return of each pixel
+        self._gap_px = distance.astype(np.float32).ravel()
+        self._depth_m = self.all_points_m[self._nearest, 2]  # holes take the nearest return's depth
+        self._surface_m = np.where(self._gap_px <= GAP_PX, self._depth_m, NOWHERE_M)
+        self._focal = np.float32(camera.fx), np.float32(camera.fy)
+        self._centre = np.float32(camera.cx + _PAD), np.float32(camera.cy + _PAD)
+        self._samples: dict[int, Float[np.ndarray, "3 n"]] = {}
+
+    def sample(self, points: int) -> Float[np.ndarray, "3 n"]:
+        """At most so many returns, spread evenly, as columns."""
+        if points not in self._samples:
+            chosen = self.all_points_m[evenly(len(self.all_points_m), points)]
+            self._samples[points] = np.ascontiguousarray(chosen.T)
+        return self._samples[points]
+
+    def pixels(
+        self, x: Float[np.ndarray, "*batch"], y: Float[np.ndarray, "*batch"], z: Float[np.ndarray, "*batch"]
+    ) -> Int[np.ndarray, "*batch"]:
+        """Where points in this camera's axes fall: places in the flat tables."""
+        inverse = 1 / np.maximum(z, np.float32(1e-6))
+        u, v = x * inverse, y * inverse
+        u *= self._focal[0]
+        u += self._centre[0]
+        v *= self._focal[1]
+        v += self._centre[1]
+        np.clip(u, 0, self._width - 1, out=u)
+        np.clip(v, 0, self._height - 1, out=v)
+        place = v.astype(np.int32)
+        place *= self._width
+        place += u.astype(np.int32)
+        return place
+
+    def surface_m(self, place: Int[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
+        """The surface's depth at places; ``NOWHERE_M`` outside the silhouette."""
+        return self._surface_m[place]
+
+    def depth_m(self, place: Int[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
+        """The depth of the nearest return at places."""
+        return self._depth_m[place]
+
+    def gap_px(self, place: Int[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
+        """By how many pixels beyond ``GAP_PX`` places miss the object; 0 on it."""
+        return np.maximum(self._gap_px[place] - GAP_PX, 0)
 
     def compare(
-        self, points_m: Float[np.ndarray, "*batch 3"], gap_px: float = 2.0
+        self, points_m: Float[np.ndarray, "*batch 3"]
     ) -> tuple[Float[np.ndarray, "*batch"], Float[np.ndarray, "*batch"]]:
-        """For points in this camera's axes: their depth minus the surface's, and by how many pixels beyond ``gap_px``
+        """For points in this camera's axes: their depth minus the surface's, and by how many pixels beyond ``GAP_PX``
         they miss it (0: they land on it; small holes count as surface)."""
-        camera = self.camera
-        z = np.maximum(points_m[..., 2], 1e-6)
-        u = points_m[..., 0] / z * np.float32(camera.fx) + np.float32(camera.cx)
-        v = points_m[..., 1] / z * np.float32(camera.fy) + np.float32(camera.cy)
-        inside_u, inside_v = np.clip(u, 0, camera.width - 1), np.clip(v, 0, camera.height - 1)
-        index = inside_v.astype(np.int32) * camera.width + inside_u.astype(np.int32)
-        beyond = np.maximum(np.abs(u - inside_u) + np.abs(v - inside_v) - 1, 0)
-        missed = np.maximum(self._gap_px.ravel()[index] + beyond - gap_px, 0)
-        return points_m[..., 2] - self._depth_m.ravel()[index], missed
+        place = self.pixels(*np.moveaxis(np.asarray(points_m, np.float32), -1, 0))
+        return points_m[..., 2] - self.depth_m(place), self.gap_px(place)
+
+
+def size_m(points: Float[np.ndarray, "n 3"]) -> float:
+    """Diagonal of the box around a cloud, but for a few stray points far from the rest."""
+    low, high = np.percentile(points, [1, 99], axis=0)
+    return min(float(np.linalg.norm(np.ptp(points, axis=0))), 1.5 * float(np.linalg.norm(high - low)))
+
+
+def evenly(n: int, most: int) -> Int[np.ndarray, " k"]:
+    """At most so many of n places, at equal steps."""
+    return np.linspace(0, n - 1, min(most, n)).astype(int)
+
+
+def moved(
+    R: Float[np.ndarray, "k 3 3"], t_m: Float[np.ndarray, "k 3"], points_m: Float[np.ndarray, "3 n"]
+) -> Float[np.ndarray, "k 3 n"]:
+    """Points (as columns) under many motions, in one matrix product."""
+    x = (R.reshape(-1, 3) @ points_m).reshape(len(R), 3, -1)
+    x += t_m[:, :, None]
+    return x
 
 
 def agreement(
@@ -76,19 +139,27 @@ def agreement(
     R_goal_current: Float[np.ndarray, "k 3 3"],
     t_goal_current_m: Float[np.ndarray, "k 3"],
     tolerance_m: float,
+    points: int | None = None,
 ) -> Float[np.ndarray, " k"]:
-    """Score in [-1, 1] of many hypotheses at once: share that fits, less the shares in front and outside."""
-    R = R_goal_current.astype(np.float32)
-    t = t_goal_current_m.astype(np.float32)
-    forward = current.points_m @ np.swapaxes(R, 1, 2) + t[:, None]
-    backward = (goal.points_m - t[:, None]) @ R
-    score = np.zeros(len(R), np.float32)
-    for view, points_m in ((goal, forward), (current, backward)):
-        dz, missed = view.compare(points_m)
-        on = missed == 0
-        fits = on & (np.abs(dz) <= tolerance_m)
-        against = ~on | (dz < -tolerance_m)
-        score += (fits.mean(axis=1, dtype=np.float32) - against.mean(axis=1, dtype=np.float32)) / 2
+    """Score in [-1, 1] of many hypotheses at once: share that fits, less the shares in front and outside.
+
+    ``points``: of each image, the view's own where None.
+    """
+    forward, backward = (
+        np.ascontiguousarray(view.points_m.T) if points is None else view.sample(points) for view in (current, goal)
+    )
+    tolerance = np.float32(tolerance_m)
+    score = np.zeros(len(R_goal_current), np.float32)
+    for begin in range(0, len(score), _AT_ONCE):  # what a batch needs stays in the cache
+        batch = slice(begin, begin + _AT_ONCE)
+        R, t = R_goal_current[batch].astype(np.float32), t_goal_current_m[batch].astype(np.float32)
+        R_back = np.ascontiguousarray(np.swapaxes(R, 1, 2))
+        t_back = -(R_back @ t[:, :, None])[:, :, 0]
+        for view, x in ((goal, moved(R, t, forward)), (current, moved(R_back, t_back, backward))):
+            beyond = x[:, 2] - view.surface_m(view.pixels(x[:, 0], x[:, 1], x[:, 2]))
+            against = np.count_nonzero(beyond < -tolerance, axis=1)
+            fits = np.count_nonzero(np.abs(beyond) <= tolerance, axis=1)
+            score[batch] += ((fits - against) / (2 * x.shape[2])).astype(np.float32)
     return score
 
 

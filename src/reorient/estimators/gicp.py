@@ -19,7 +19,7 @@ from reorient import so3
 from reorient.depth import DepthImage
 from reorient.errors import ReorientError
 from reorient.estimators.base import History, RotationEstimate, check_pair
-from reorient.estimators.evidence import Evidence, View, agreement, weigh
+from reorient.estimators.evidence import Evidence, View, agreement, size_m, weigh
 
 CLEAR_AGREEMENT = 0.7  # of the first alignment: no further starts
 RIVAL_MARGIN = 0.6  # a start may agree less than the first answer by this much, and still win once aligned
@@ -85,12 +85,6 @@ class _Hypothesis:
     covariance_rad2: Float[np.ndarray, "3 3"] | None
 
 
-def _size_m(points: Float[np.ndarray, "n 3"]) -> float:
-    """Diagonal of the box around a cloud, but for a few stray points far from the rest."""
-    low, high = np.percentile(points, [1, 99], axis=0)
-    return min(float(np.linalg.norm(np.ptp(points, axis=0))), 1.5 * float(np.linalg.norm(high - low)))
-
-
 def _transform(R: Float[np.ndarray, "3 3"], t: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = R, t
@@ -102,7 +96,7 @@ class _Alignment:
 
     def __init__(self, current: DepthImage, goal: DepthImage, pivot_m: Float[np.ndarray, "3"] | None) -> None:
         source, target = current.points(), goal.points()
-        self._size_m = max(_size_m(source), _size_m(target))
+        self._size_m = max(size_m(source), size_m(target))
         self._points = source, target
         self._clouds: dict[Stage, tuple[Any, Any, Any]] = {}
         self._views = View(current, 200), View(goal, 200)

@@ -1,0 +1,60 @@
+"""The judge's verbs: make its data, train it."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, subcommand
+
+from reorient.cli.progress import show_progress
+from reorient.judging import JudgeData
+
+
+@dataclass(frozen=True)
+class Make:
+    """Write hypotheses of known error, a file for a few objects. An interrupted run goes on where it stopped.
+
+    For example: reorient judge make out/judge --count 5000 --workers 2
+    """
+
+    out: Positional[Path]
+    """Folder for the shards."""
+    config: JudgeData = field(default_factory=JudgeData)
+    workers: int = 1
+
+    def run(self) -> None:
+        """All shards that are missing."""
+        from reorient.judging import make
+
+        show_progress("shards", make(self.config, self.out, self.workers))
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train the judge on a folder of shards (needs the extra ``train``); prints what it is worth on others.
+
+    For example: reorient judge train out/judge out/judge.npz
+    """
+
+    data: Positional[Path]
+    """What ``reorient judge make`` wrote."""
+    out: Positional[Path]
+    """File to write (.npz)."""
+
+    def run(self) -> None:
+        """Read, train, write, print."""
+        from reorient.judging import read, train
+
+        for name, value in train(read(self.data), self.out).items():
+            print(f"{name}: {value:.4g}")
+
+
+@dataclass(frozen=True)
+class Judge:
+    """Make the judge's data; train it."""
+
+    verb: Annotated[Make, subcommand("make")] | Annotated[Train, subcommand("train")]
+
+    def run(self) -> None:
+        """Run the chosen verb."""
+        self.verb.run()
