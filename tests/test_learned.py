@@ -19,8 +19,8 @@ CAMERAS = {
     "f = 1122": Camera(1032, 772, 1122.0, 1122.0, 512.0, 384.5),
     "off-centre": Camera(400, 300, 535.0, 520.0, 90.5, 230.0),
 }
-OBJECTS = range(8)  # of a sequence that no network was trained on
-WITHIN_DEG = {"paper": 8.0, "swift": 4.0}
+OBJECTS = range(16)  # of a sequence that no network was trained on
+WITHIN_DEG = {"paper": 10.0, "swift": 5.0}
 
 
 def pairs(camera, turn_deg):

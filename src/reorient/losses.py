@@ -18,7 +18,10 @@ def mean_loss(predicted_wxyz: Quaternions, true_wxyz: Quaternions) -> Float[Tens
 
 
 def chord_loss(predicted_wxyz: Quaternions, true_wxyz: Quaternions) -> Float[Tensor, ""]:
-    """|q - q_hat|: half the angle where small, so that few large errors count less than in ``mean_loss``."""
+    """|q - q_hat|: half the angle where small, so that few large errors count less than in ``mean_loss``.
+
+    From the start it would hold predictions at "no rotation", the median of what is asked.
+    """
     return (predicted_wxyz - true_wxyz).square().sum(dim=1).add(1e-8).sqrt().mean()
 
 

@@ -17,7 +17,7 @@ class Training:
     network: NetworkName = "paper"
     """The paper's siamese ResNet-9, or swift: both images at once."""
     loss: LossName = "hybrid"
-    """hybrid: the mean loss in the first epoch, then ShapeMatch; mean; shapematch; chord: |q - q_hat|."""
+    """hybrid: mean in the first epoch, then ShapeMatch; mean; shapematch; chord: mean first, then |q - q_hat|."""
     epochs: int = 100
     batch: int = 64
     """Pairs a step, of one process."""
@@ -61,8 +61,8 @@ PRESETS = {
         "swift",
         "chord",
         epochs=12,
-        batch=128,
-        lr=0.001,
+        batch=64,
+        lr=0.0005,
         schedule="cosine",
         weight_decay=1e-5,
         dropout=0.1,

@@ -182,7 +182,7 @@ def loss_of(name: LossName, epoch: int) -> LossFunction:
 
     if name == "shapematch" or (name == "hybrid" and epoch > 0):
         return shape_match
-    angular = losses.chord_loss if name == "chord" else losses.mean_loss
+    angular = losses.chord_loss if name == "chord" and epoch > 0 else losses.mean_loss
     return lambda predicted, batch, vertices, counts: angular(predicted, batch["quat_wxyz"])
 
 
