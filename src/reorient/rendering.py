@@ -124,9 +124,9 @@ class Renderer:
     ) -> Int[np.ndarray, "height width"]:
         """Which face of the mesh each pixel's ray hits first; -1 where none."""
         face = np.full((camera.height, camera.width), -1, np.int32)
-        window, origin, directions = self._rays(camera, R_camera_object, placement)
-        if len(directions):
-            face[window] = self._scene.run(origin, directions, query="INTERSECT").reshape(face[window].shape)
+        pixels, origin, directions = self._rays(camera, R_camera_object, placement)
+        if len(pixels):
+            face.reshape(-1)[pixels] = self._scene.run(origin, directions, query="INTERSECT")
         return face
 
     def shadowed(
