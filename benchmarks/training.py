@@ -73,8 +73,8 @@ def main() -> None:
         raw = OBJECTS * PAIRS * 2 * 128 * 128 * 2
         size = sum(file.stat().st_size for file in store.rglob("*") if file.is_file())
         print(f"generation: {made:.0f} pairs/s on {cores} cores; store: {raw / size:.1f} times smaller than raw uint16")
-        reader = PairReader(store)
         for name in ("paper", "swift"):
+            reader = PairReader(store)  # anew, with nothing in memory
             recipe = PRESETS[name]
             order = reader.order(range(OBJECTS), np.random.default_rng(0))
             begin = time.perf_counter()

@@ -130,7 +130,7 @@ def estimate_cost(config: PairSet, path: str | Path, workers: int = 1) -> Cost:
 
 
 def _codec() -> BloscCodec:
-    return BloscCodec(cname="zstd", clevel=5, shuffle="shuffle")
+    return BloscCodec(cname="zstd", clevel=1, shuffle="shuffle")
 
 
 def _create(config: PairSet, path: str) -> zarr.Group:
