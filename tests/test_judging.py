@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from reorient.errors import ReorientError
-from reorient.estimators.judge import FEATURES, load_judge
+from reorient.estimators.judge import FEATURES
 from reorient.judging import JudgeData, make, read
 from reorient.objects import ObjectSource
 
@@ -41,19 +41,3 @@ def test_goes_on_and_repeats_itself(shards, tmp_path):
 def test_nothing_to_read(tmp_path):
     with pytest.raises(ReorientError, match="no shards in"):
         read(tmp_path)
-
-
-def test_the_written_trees_are_the_trained_ones(tmp_path):
-    pytest.importorskip("sklearn")
-    from reorient.judging import Shards, _fit, train
-
-    rng = np.random.default_rng(0)
-    figures = rng.normal(size=(3000, len(FEATURES))).astype(np.float32)
-    right = figures[:, 3] + 0.5 * figures[:, 7] * figures[:, 1] > 0.3
-    data = Shards(figures, np.where(right, 1.0, 90.0), np.arange(3000) // 6, np.arange(3000) // 60)
-    train(data, tmp_path / "judge.npz", trees=20)
-    judge = load_judge(tmp_path / "judge.npz")
-    objects = np.unique(data.object)
-    apart = np.isin(data.object, np.random.default_rng(0).permutation(objects)[: int(0.25 * len(objects))])
-    model = _fit(data.of(~apart), 20)
-    np.testing.assert_allclose(judge.log_odds(figures.astype(float)), model.decision_function(figures), atol=1e-6)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import ray
 
 from conftest import SMALL
 from reorient import so3
@@ -87,7 +88,6 @@ def test_killed_at_any_moment_it_finishes_to_the_same_bytes(tmp_path):
 
 
 def test_a_ray_cluster_makes_the_same_bytes(sharded, tmp_path):
-    ray = pytest.importorskip("ray")
     config, path = sharded
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
     try:

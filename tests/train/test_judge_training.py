@@ -1,0 +1,19 @@
+"""The judge that is written is the judge that was trained."""
+
+import numpy as np
+
+from reorient.estimators.judge import FEATURES, load_judge
+from reorient.judging import Shards, _fit, train
+
+
+def test_the_written_trees_are_the_trained_ones(tmp_path):
+    rng = np.random.default_rng(0)
+    figures = rng.normal(size=(3000, len(FEATURES))).astype(np.float32)
+    right = figures[:, 3] + 0.5 * figures[:, 7] * figures[:, 1] > 0.3
+    data = Shards(figures, np.where(right, 1.0, 90.0), np.arange(3000) // 6, np.arange(3000) // 60)
+    train(data, tmp_path / "judge.npz", trees=20)
+    judge = load_judge(tmp_path / "judge.npz")
+    objects = np.unique(data.object)
+    apart = np.isin(data.object, np.random.default_rng(0).permutation(objects)[: int(0.25 * len(objects))])
+    model = _fit(data.of(~apart), 20)
+    np.testing.assert_allclose(judge.log_odds(figures.astype(float)), model.decision_function(figures), atol=1e-6)
