@@ -117,7 +117,7 @@ def train(
         )  # fmt: skip
         network.train()
         saved = began = time.monotonic()
-        first = state["batch"]
+        first, rate = state["batch"], 0.0  # killed between the last step and the validation, none is left to time
         for batch in _loader(batches):
             torch.manual_seed(
                 hash((config.seed, epoch, state["batch"], fabric.global_rank))

@@ -84,6 +84,16 @@ def test_an_interrupted_run_resumes_exactly(trained, small_set, tmp_path):
     assert [row["loss"] for row in rows(out)] == [row["loss"] for row in rows(trained[0])]
 
 
+def test_interrupted_before_an_epoch_is_validated_it_resumes_exactly(trained, small_set, tmp_path):
+    out = tmp_path / "run"
+    steps = train(DEBUG, small_set, out, save_every_s=0)
+    assert next(state.step for state in steps if state.validation_deg is not None) == 4
+    steps.close()  # all steps of the first epoch are in the checkpoint, its validation is not
+    run(DEBUG, small_set, out)
+    assert same(weights(out), weights(trained[0]))
+    assert [row["loss"] for row in rows(out)] == [row["loss"] for row in rows(trained[0])]
+
+
 def test_killed_at_any_moment_it_ends_the_same(trained, small_set, tmp_path):
     out = tmp_path / "run"
     script = (
