@@ -48,11 +48,13 @@ ROOMS = [
     "evaluation",
     "judging",
     "statistics",
+    "loop_trials",
     "cell_trials",
     "experiment",
     "pictures",
     "explaining",
     "reporting",
+    "reproducing",
     "cli",
     "__main__",
     "",  # the package itself

@@ -20,7 +20,7 @@ from reorient.cell_trials import Experiment, chosen, close_loop, estimator_and_s
 from reorient.controller import OrientResult
 from reorient.errors import ReorientError
 from reorient.evaluation import Row, run_record
-from reorient.files import make_folder, replacing, write_table
+from reorient.files import make_folder, replacing, whole_lines, write_table
 
 NOT_STAGED = "not staged"
 COLUMNS = [
@@ -49,7 +49,7 @@ def run(config: Experiment, out: Path, workers: int = 1) -> Iterator[tuple[int, 
     if finished.is_file():
         yield len(tasks), len(tasks)
         return
-    trials = _whole_lines(partial)
+    trials = [json.loads(line) for line in whole_lines(partial)]
     yield len(trials), len(tasks)
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool, partial.open("a") as file:
         left = tasks[len(trials) :]
@@ -84,17 +84,6 @@ def _begun(config: Experiment, out: Path, workers: int) -> list[str]:
     with replacing(file) as temporary:
         temporary.write_text(json.dumps(record | {"names": names}, indent=2) + "\n")
     return names
-
-
-def _whole_lines(partial: Path) -> list[tuple[list[Row], list[Row]]]:
-    """The trials that an interrupted run has finished; what it left of the next one is cut off."""
-    if not partial.is_file():
-        return []
-    lines = [line for line in partial.read_text().splitlines(keepends=True) if line.endswith("\n")]
-    with replacing(partial) as temporary:
-        temporary.write_text("".join(lines))
-    trials = (json.loads(line) for line in lines)
-    return [(rows, masks) for rows, masks in trials]
 
 
 def _run_trial(task: tuple[Experiment, str, int, tuple[float, float]]) -> tuple[list[Row], list[Row]]:

@@ -7,6 +7,7 @@ import onnx
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
+from reorient.estimators.learned import SWIFT_ROUNDS
 from reorient.files import replacing
 from reorient.network import build
 from reorient.recipes import NetworkName
@@ -33,6 +34,8 @@ def export(network: NetworkName, weights: Path, out: Path, compact: bool = False
     )
     assert program is not None
     proto = program.model_proto
+    if network == "swift":
+        proto.metadata_props.add(key="rounds", value=str(SWIFT_ROUNDS))
     if compact:
         _store_as_float16(proto)
     with replacing(out) as temporary:

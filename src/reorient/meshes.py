@@ -4,8 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
+from jaxtyping import Float
 
 from reorient.errors import ReorientError
+
+MOST_VERTICES = 500  # of an object, kept for ShapeMatch (paper, "Training Details")
 
 
 def load_mesh(path: str | Path) -> trimesh.Trimesh:
@@ -76,3 +79,12 @@ def scale_to_diagonal(mesh: trimesh.Trimesh, diagonal_m: float) -> trimesh.Trime
     """A centred copy whose bounding box has this diagonal."""
     centred = center(mesh)
     return centred.apply_scale(diagonal_m / float(np.linalg.norm(np.ptp(centred.vertices, axis=0))))
+
+
+def some_vertices(mesh: trimesh.Trimesh, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
+    """At most 500 different vertices about the box's centre, over the bounding radius."""
+    mesh = center(mesh)
+    vertices = np.unique(mesh.vertices, axis=0)
+    if len(vertices) > MOST_VERTICES:
+        vertices = rng.permutation(vertices)[:MOST_VERTICES]
+    return vertices / bounding_radius(mesh)

@@ -24,14 +24,13 @@ from zarr.codecs import BloscCodec
 from reorient import so3
 from reorient.depth import Camera
 from reorient.errors import ReorientError
-from reorient.meshes import bounding_radius, center
+from reorient.meshes import MOST_VERTICES, some_vertices
 from reorient.objects import ObjectSource
 from reorient.pairs import PairSet, sample_pair
 from reorient.rendering import Renderer, load_world
 from reorient.sensing import randomised
 
 CHUNKS_A_SHARD = 20
-MOST_VERTICES = 500  # of an object, kept for ShapeMatch (paper, "Training Details")
 PROBE = 50  # pairs made to estimate time and disk
 LABELS = {
     "seed": (2, "int64"),
@@ -163,7 +162,7 @@ def _create(config: PairSet, path: str) -> zarr.Group:
     vertices = np.zeros((len(objects.names), MOST_VERTICES, 3), np.float32)
     counts = np.zeros(len(objects.names), np.int32)
     for index, name in enumerate(objects.names):
-        chosen = _vertices(config, objects.load(name), index)
+        chosen = some_vertices(objects.load(name), np.random.default_rng([config.seed, index]))
         counts[index] = len(chosen)
         vertices[index, : len(chosen)] = chosen
     group.create_array("vertices", data=vertices)
@@ -171,15 +170,6 @@ def _create(config: PairSet, path: str) -> zarr.Group:
     group.attrs["names"] = list(objects.names)
     group.attrs["created"] = True
     return group
-
-
-def _vertices(config: PairSet, mesh: Any, index: int) -> Float[np.ndarray, "n 3"]:
-    """At most 500 vertices about the box's centre, over the bounding radius."""
-    mesh = center(mesh)
-    vertices = np.unique(mesh.vertices, axis=0)
-    if len(vertices) > MOST_VERTICES:
-        vertices = np.random.default_rng([config.seed, index]).permutation(vertices)[:MOST_VERTICES]
-    return vertices / bounding_radius(mesh)
 
 
 def _has_shard(group: zarr.Group, shard: int) -> bool:

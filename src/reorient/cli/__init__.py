@@ -17,6 +17,7 @@ VERBS = {  # by the file that holds them; only the one asked for is imported, as
     "learning": ("Generate", "Train", "Export"),
     "judging": ("Judge",),
     "cell": ("Cell",),
+    "reproducing": ("Reproduce",),
 }
 
 

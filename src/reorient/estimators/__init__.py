@@ -1,18 +1,29 @@
 """Estimators by name."""
 
-from reorient.errors import unknown_name
+import importlib
+import sys
+from pathlib import Path
+
+from reorient.errors import ReorientError, unknown_name
 from reorient.estimators.base import Estimator
 
 NAMES = ("default", "fast", "thorough", "gicp", "icp", "paper", "swift")
 
 
 def load_estimator(name: str = "default") -> Estimator:
-    """An estimator of the package.
+    """An estimator of the package, or one's own.
 
     ``default``: any rotation, with a calibrated confidence; ``fast`` and ``thorough`` are the same with less and more
-    work. ``gicp``: generalised ICP, up to 60 degrees. ``icp``: the paper's baseline.
-    Raises ReorientError, a ValueError, for an unknown name.
+    work. ``gicp``: generalised ICP, up to 60 degrees. ``icp``: the paper's baseline. ``my.onnx``: weights that
+    ``reorient export`` wrote. ``my_module:MyEstimator``: a class, imported (the working folder included) and called
+    with nothing. Raises ReorientError, a ValueError, for an unknown name.
     """
+    if name.endswith(".onnx"):
+        from reorient.estimators.learned import Learned
+
+        return Learned(Path(name))
+    if ":" in name:
+        return _own(name)
     if name in ("default", "fast", "thorough"):
         from reorient.estimators.default import Default
 
@@ -30,7 +41,22 @@ def load_estimator(name: str = "default") -> Estimator:
 
         return Learned("paper")
     if name == "swift":
-        from reorient.estimators.learned import Learned
+        from reorient.estimators.learned import SWIFT_ROUNDS, Learned
 
-        return Learned("swift", rounds=3)
+        return Learned("swift", SWIFT_ROUNDS)
     raise unknown_name("estimator", name, list(NAMES))
+
+
+def _own(name: str) -> Estimator:
+    module_name, _, attribute = name.partition(":")
+    if str(Path.cwd()) not in sys.path:
+        sys.path.insert(0, str(Path.cwd()))
+    try:
+        estimator = getattr(importlib.import_module(module_name), attribute)()
+    except Exception as error:  # the user's code may raise anything
+        raise ReorientError(
+            f"cannot make estimator {name!r} ({type(error).__name__}: {error}): expected an importable class"
+        ) from error
+    if not isinstance(estimator, Estimator):
+        raise ReorientError(f"estimator {name!r} has no estimate: expected a class with that method")
+    return estimator

@@ -2,6 +2,7 @@
 
 from functools import cache
 from importlib import resources
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -14,32 +15,38 @@ from reorient.estimators.base import History, RotationEstimate, check_pair
 from reorient.estimators.evidence import View, weigh
 from reorient.virtual_camera import VirtualCamera, aim, join, network_input, outline, turned, turning_points
 
+SWIFT_ROUNDS = 3  # from the second on it is asked about what the answer so far leaves
 TOLERANCE = 0.018  # depth difference that still fits, of the object's size
 
 
 @cache
-def load_session(name: str) -> Any:
-    """The ONNX Runtime session of weights in the package. Raises ReorientError for weights that are missing."""
+def load_session(weights: str | Path) -> Any:
+    """The ONNX Runtime session of weights in the package (a name) or of a file. Raises ReorientError without them."""
     import onnxruntime
 
-    file = resources.files("reorient") / "weights" / f"{name}.onnx"
+    file = weights if isinstance(weights, Path) else resources.files("reorient") / "weights" / f"{weights}.onnx"
     if not file.is_file():
-        raise ReorientError(f"no weights {name}.onnx in this installation: expected them in reorient/weights")
+        place = str(weights) if isinstance(weights, Path) else f"{weights}.onnx in this installation"
+        raise ReorientError(f"no weights {place}: expected what `reorient export` wrote")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
-    return onnxruntime.InferenceSession(file.read_bytes(), options, providers=["CPUExecutionProvider"])
+    try:
+        return onnxruntime.InferenceSession(file.read_bytes(), options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # the runtime raises errors of its own
+        raise ReorientError(f"cannot read weights {str(file)!r}: expected what `reorient export` wrote") from error
 
 
 class Learned:
     """A network's answer for 0-30 degrees (paper, "Learning to Estimate 3D Rotations").
 
-    ``rounds``: from the second on, the network sees the current image turned by the answer so far, as ``swift`` was
-    trained to.
+    ``weights``: those of the package, or an exported file. ``rounds``: from the second on, the network sees the current
+    image turned by the answer so far, as ``swift`` was trained to; None: as the file says.
     """
 
-    def __init__(self, weights: Literal["paper", "swift"], rounds: int = 1) -> None:
+    def __init__(self, weights: Literal["paper", "swift"] | Path, rounds: int | None = None) -> None:
         self._session = load_session(weights)
-        self._rounds = rounds
+        said = self._session.get_modelmeta().custom_metadata_map
+        self._rounds = int(said.get("rounds", 1)) if rounds is None else rounds
 
     def estimate(
         self,
@@ -50,8 +57,7 @@ class Learned:
     ) -> RotationEstimate:
         """As ``Estimator.estimate``; the history is not used."""
         check_pair(current, goal, pivot_m)
-        virtual = aim(join(*(outline(image.valid[None], image.camera) for image in (current, goal))))
-        views_m = [virtual.view(image.depth_m[None, None], image.camera)[:, 0] for image in (current, goal)]
+        virtual, views_m = self._views(current, goal)
         from_m, to_m = (self._turning_point(virtual, view_m, pivot_m) for view_m in views_m)
         current_m, goal_m = views_m
         R_virtual = self._answer(current_m, goal_m, virtual)
@@ -63,15 +69,33 @@ class Learned:
         tolerance_m = TOLERANCE * float(np.linalg.norm(np.ptp(goal.points(), axis=0)))
         return RotationEstimate(R, t, weigh(View(current), View(goal), R, t, tolerance_m))
 
+    def raw_quat_wxyz(self, current: DepthImage, goal: DepthImage) -> Float[np.ndarray, "4"]:
+        """What the network itself says in its first round: virtual camera axes, the sign as it comes."""
+        virtual, (current_m, goal_m) = self._views(current, goal)
+        return self._predict(current_m, goal_m, virtual)[0].astype(float)
+
+    @staticmethod
+    def _views(current: DepthImage, goal: DepthImage) -> tuple[VirtualCamera, list[Float32[np.ndarray, "n size size"]]]:
+        virtual = aim(join(*(outline(image.valid[None], image.camera) for image in (current, goal))))
+        return virtual, [virtual.view(image.depth_m[None, None], image.camera)[:, 0] for image in (current, goal)]
+
+    def _predict(
+        self,
+        current_m: Float32[np.ndarray, "n size size"],
+        goal_m: Float32[np.ndarray, "n size size"],
+        virtual: VirtualCamera,
+    ) -> Float32[np.ndarray, "n 4"]:
+        images = network_input(np.stack([current_m, goal_m], axis=1), virtual.tangent)
+        quat_wxyz: Float32[np.ndarray, "n 4"] = self._session.run(None, {"images": images})[0]
+        return quat_wxyz
+
     def _answer(
         self,
         current_m: Float32[np.ndarray, "n size size"],
         goal_m: Float32[np.ndarray, "n size size"],
         virtual: VirtualCamera,
     ) -> Float[np.ndarray, "n 3 3"]:
-        images = network_input(np.stack([current_m, goal_m], axis=1), virtual.tangent)
-        quat_wxyz = self._session.run(None, {"images": images})[0]
-        return so3.matrix_from_quat(so3.normalize(quat_wxyz.astype(float)))
+        return so3.matrix_from_quat(so3.normalize(self._predict(current_m, goal_m, virtual).astype(float)))
 
     def _turning_point(
         self, virtual: VirtualCamera, view_m: Float32[np.ndarray, "n size size"], pivot_m: Float[np.ndarray, "3"] | None

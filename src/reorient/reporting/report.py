@@ -5,6 +5,7 @@ from html import escape
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from reorient import so3
 from reorient.depth import DepthImage
@@ -86,13 +87,21 @@ def _card(row: Row, config: Evaluation) -> str:
     if row["message"]:
         caption += f"<br>refused: {escape(row['message'])}"
     try:
-        pair, renderer = regenerate(config, row)
+        panels = three_panels(row, config)
     except ReorientError as error:  # the meshes of an old run may be gone; its figures still stand
         return f"<figure><figcaption>{caption}<br>no picture: {escape(str(error))}</figcaption></figure>"
+    picture = montage(panels, 3, ["start", "goal", "start turned"])
+    return inline_image(png_data_uri(picture), f"start, goal and estimate of {row['object']}", caption, dark=True)
+
+
+def three_panels(row: Row, config: Evaluation) -> list[Image.Image]:
+    """Start, goal, and the start turned by a row's estimate, rendered exactly from the mesh.
+
+    Raises ReorientError where the meshes are gone.
+    """
+    pair, renderer = regenerate(config, row)
     R_est = so3.matrix_from_quat(so3.normalize(np.array([float(row[name]) for name in ("qw", "qx", "qy", "qz")])))
     camera = pair.goal.camera
     turned = DepthImage(renderer.depth(camera, R_est @ pair.R_camera_object, pair.placement), camera)
     images = framed([pair.current, pair.goal, turned])
-    panels = [shade(image, _PANEL_PX, depth_range(images)) for image in images]
-    picture = montage(panels, 3, ["start", "goal", "start turned"])
-    return inline_image(png_data_uri(picture), f"start, goal and estimate of {row['object']}", caption, dark=True)
+    return [shade(image, _PANEL_PX, depth_range(images)) for image in images]

@@ -1,0 +1,66 @@
+"""What the paper's networks are compared with, beside the package's estimators: nothing, and the release's broken ICP.
+
+Named ``reorient.reproducing.baselines:Nothing`` and so on wherever an estimator's name is asked for.
+"""
+
+import numpy as np
+import trimesh
+from jaxtyping import Float
+
+from reorient.depth import DepthImage
+from reorient.estimators.base import History, RotationEstimate, check_pair
+from reorient.estimators.evidence import View, weigh
+
+MAX_POINTS = 1500
+
+
+class Nothing:
+    """Always "no rotation"."""
+
+    def estimate(
+        self,
+        current: DepthImage,
+        goal: DepthImage,
+        pivot_m: Float[np.ndarray, "3"] | None = None,
+        history: History = (),
+    ) -> RotationEstimate:
+        """As ``Estimator.estimate``."""
+        check_pair(current, goal, pivot_m)
+        return _answer(current, goal, np.eye(3))
+
+
+class ReleasedICP:
+    """The ICP baseline as in the paper's public release, with its mistakes.
+
+    Pixel offsets are divided by the image's width and again by the focal length, so that the cloud collapses to a line
+    along the optical axis; and trimesh's ICP may mirror and scale. Where it does, the nearest rotation is the answer.
+    """
+
+    def estimate(
+        self,
+        current: DepthImage,
+        goal: DepthImage,
+        pivot_m: Float[np.ndarray, "3"] | None = None,
+        history: History = (),
+    ) -> RotationEstimate:
+        """As ``Estimator.estimate``."""
+        check_pair(current, goal, pivot_m)
+        T, _, _ = trimesh.registration.icp(_collapsed(current), _collapsed(goal), reflection=True, scale=True)
+        left, _, right = np.linalg.svd(T[:3, :3])
+        R = left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right
+        return _answer(current, goal, R)
+
+
+def _collapsed(image: DepthImage) -> Float[np.ndarray, "n 3"]:
+    points = image.points()
+    points = points[np.linspace(0, len(points) - 1, min(len(points), MAX_POINTS)).astype(int)]
+    points[:, :2] /= image.camera.width
+    return points
+
+
+def _answer(current: DepthImage, goal: DepthImage, R: Float[np.ndarray, "3 3"]) -> RotationEstimate:
+    """With the translation that brings the centroids together."""
+    target = goal.points()
+    t = target.mean(axis=0) - R @ current.points().mean(axis=0)
+    tolerance_m = 0.018 * float(np.linalg.norm(np.ptp(target, axis=0)))
+    return RotationEstimate(R, t, weigh(View(current), View(goal), R, t, tolerance_m))

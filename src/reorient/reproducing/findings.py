@@ -1,0 +1,124 @@
+"""A number with its interval, beside the paper's; and whether it holds when a part of it is measured again."""
+
+import csv
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from html import escape
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from reorient.files import replacing
+from reorient.reporting.rows import wilson
+
+RESAMPLES = 1000
+Statistic = Callable[[np.ndarray], float]
+
+
+def mean(values: np.ndarray) -> float:
+    """The mean."""
+    return float(np.mean(values))
+
+
+def median(values: np.ndarray) -> float:
+    """The median."""
+    return float(np.median(values))
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One number of a figure."""
+
+    what: str
+    """The same words in the whole figure and in a part of it."""
+    value: float
+    low: float
+    high: float
+    """Ends of the 95% interval; NaN where there is none."""
+    n: int
+    unit: str = "°"
+    paper: str = ""
+    """What the paper has for it."""
+    differs: str = ""
+    """What is not as in the paper."""
+
+
+def interval(
+    values: Float[np.ndarray, " n"], groups: Sequence[str], statistic: Statistic = mean
+) -> tuple[float, float]:
+    """95% bootstrap interval of a statistic; whole groups (objects) are drawn, as errors of one object go together."""
+    which = np.unique(np.asarray(groups), return_inverse=True)[1]
+    members = np.split(np.argsort(which, kind="stable"), np.cumsum(np.bincount(which))[:-1])
+    rng = np.random.default_rng(0)
+    drawn = [
+        statistic(values[np.concatenate([members[i] for i in rng.integers(len(members), size=len(members))])])
+        for _ in range(RESAMPLES)
+    ]
+    low, high = np.percentile(drawn, [2.5, 97.5])
+    return float(low), float(high)
+
+
+def number(
+    what: str,
+    values: Float[np.ndarray, " n"],
+    groups: Sequence[str],
+    statistic: Statistic = mean,
+    *,
+    unit: str = "°",
+    paper: str = "",
+    differs: str = "",
+) -> Finding:
+    """A statistic of some values, with its interval."""
+    return Finding(what, statistic(values), *interval(values, groups, statistic), len(values), unit, paper, differs)
+
+
+def share(what: str, hits: np.ndarray, groups: Sequence[str], *, paper: str = "", differs: str = "") -> Finding:
+    """A share in percent; its interval covers both Wilson's and the bootstrap's, which is empty at 0 and 100%."""
+    low, high = interval(hits.astype(float), groups)
+    first, last = wilson(int(hits.sum()), len(hits))
+    return Finding(
+        what, 100 * float(np.mean(hits)), 100 * min(low, first), 100 * max(high, last), len(hits), "%", paper, differs
+    )
+
+
+def held(part: Finding, whole: Finding) -> bool | None:
+    """Whether two measurements on different pairs agree within their intervals; None where they have none."""
+    below, above = sorted((part, whole), key=lambda finding: finding.value)
+    room = float(np.hypot(below.high - below.value, above.value - above.low))
+    return None if np.isnan(room) else above.value - below.value <= room
+
+
+def write_findings(findings: Sequence[Finding], path: Path) -> None:
+    """As a plain CSV table."""
+    with replacing(path) as temporary, temporary.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(asdict(findings[0])))
+        writer.writeheader()
+        for finding in findings:
+            writer.writerow({key: f"{x:.4f}" if isinstance(x, float) else x for key, x in asdict(finding).items()})
+
+
+HEADINGS = ("number", "paper", "ours", "95%", "n", "what differs")
+
+
+def cells(finding: Finding) -> list[str]:
+    """One line of a table with these headings."""
+    digits = 1 if finding.unit == "%" else 4 if finding.unit == "" else 2
+    value, low, high = (f"{x:.{digits}f}" for x in (finding.value, finding.low, finding.high))
+    known = "–" if np.isnan(finding.low) else f"{low}–{high}"
+    return [finding.what, finding.paper or "–", f"{value}{finding.unit}", known, str(finding.n), finding.differs]
+
+
+def html_findings(findings: Sequence[Finding]) -> str:
+    """The table as HTML."""
+
+    def row(line: Sequence[str], tag: str) -> str:
+        sides = ["word" if index in (0, 5) else "" for index in range(len(line))]
+        return (
+            "<tr>"
+            + "".join(f'<{tag} class="{s}">{escape(c)}</{tag}>' for s, c in zip(sides, line, strict=True))
+            + "</tr>"
+        )
+
+    body = "".join(row(cells(finding), "td") for finding in findings)
+    return f'<div class="wide"><table><thead>{row(HEADINGS, "th")}</thead><tbody>{body}</tbody></table></div>'

@@ -1,0 +1,110 @@
+"""What the figures of single estimates share: rows by label, their curves and their page."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from reorient.evaluation import Evaluation, Row, evaluate
+from reorient.files import replacing
+from reorient.objects import ObjectSource
+from reorient.reporting.curves import Curve, curves
+from reorient.reporting.page import inline_image, page
+from reorient.reporting.rows import estimators, numbers, read_rows
+from reorient.reporting.style import svg, write_png
+from reorient.reproducing.findings import Finding, html_findings, interval, mean, number
+from reorient.reproducing.networks import Network
+from reorient.reproducing.setting import Setting
+
+NOTHING, RELEASED = (f"reorient.reproducing.baselines:{name}" for name in ("Nothing", "ReleasedICP"))
+LABELS = {NOTHING: "no rotation", RELEASED: "icp as released (broken)"}
+BINS = 6  # of the angle
+
+
+def measure_pairs(setting: Setting, folder: Path, objects: ObjectSource, names: Sequence[str], pairs: int) -> None:
+    """Raw rows of these estimators in the world of the paper's simulator, 0 to 30 degrees, no noise, no pivot."""
+    config = Evaluation(
+        objects, tuple(names), "paper", ((0, 30),), (0.0,), setting.part(pairs), seed=setting.seed
+    )  # fmt: skip
+    setting.progress(folder.name, evaluate(config, folder, setting.workers))
+
+
+def labelled(folder: Path, networks: Sequence[Network] = ()) -> list[Row]:
+    """The rows of a folder; estimators by the names that tables and figures use."""
+    known = LABELS | {network.name: network.label for network in networks}
+    rows = read_rows(folder)
+    for row in rows:
+        name = row["estimator"]
+        row["estimator"] = known.get(Path(name).stem if name.endswith(".onnx") else name, name)
+    return rows
+
+
+def of(rows: Sequence[Row], estimator: str) -> list[Row]:
+    """The rows of one estimator."""
+    return [row for row in rows if row["estimator"] == estimator]
+
+
+def objects_of(rows: Sequence[Row]) -> list[str]:
+    """Whose row each is."""
+    return [row["object"] for row in rows]
+
+
+def mean_errors(
+    rows: Sequence[Row], of_what: str, paper: Mapping[str, str], differs: Mapping[str, str]
+) -> list[Finding]:
+    """The mean error of each estimator, plain and symmetry-aware."""
+    found = []
+    for name in estimators(rows):
+        mine = of(rows, name)
+        plain, aware = (numbers(mine, column) for column in ("error_deg", "error_sym_deg"))
+        words, groups = f"{of_what}, {name}", objects_of(mine)
+        beside = {"paper": paper.get(name, ""), "differs": differs.get(name, "")}
+        found.append(number(f"{words}: mean error", plain, groups, **beside))
+        found.append(number(f"{words}: symmetry-aware mean", aware, groups))
+    return found
+
+
+def against_angle(rows: Sequence[Row], column: str = "error_deg") -> dict[str, Curve]:
+    """The mean of a column in bins of the angle between start and goal, with its interval, by estimator."""
+    drawn = {}
+    for name in estimators(rows):
+        mine = of(rows, name)
+        angle_deg, values, groups = numbers(mine, "angle_deg"), numbers(mine, column), np.array(objects_of(mine))
+        edges = np.linspace(float(mine[0]["low_deg"]), float(mine[0]["high_deg"]), BINS + 1)
+        which = np.clip(np.searchsorted(edges, angle_deg, side="right") - 1, 0, BINS - 1)
+        bins = [b for b in range(BINS) if np.any(which == b)]
+        means = [mean(values[which == b]) for b in bins]
+        ends = [interval(values[which == b], groups[which == b].tolist()) for b in bins]
+        middles = (edges[bins] + edges[np.add(bins, 1)]) / 2
+        drawn[name] = Curve(middles, np.array(means), *np.array(ends).T)
+    return drawn
+
+
+def angle_figure(panels: Mapping[str, Sequence[Row]], levels: Mapping[str, float]) -> Figure:
+    """Mean error against angle, a panel for each set of rows."""
+    return curves(
+        {title: against_angle(rows) for title, rows in panels.items()},
+        "angle between start and goal", "mean error (95% interval)", levels=levels,
+    )  # fmt: skip
+
+
+def write_page(
+    folder: Path,
+    title: str,
+    lead: str,
+    findings: Sequence[Finding],
+    figures: Mapping[str, tuple[Figure, str]],
+    more: Mapping[str, str] | None = None,
+) -> list[Path]:
+    """``report.html`` and a PNG for each figure (by heading, with its caption); returns what was written."""
+    written = []
+    sections = {"Numbers": html_findings(findings)}
+    for heading, (figure, caption) in figures.items():
+        written.append(folder / f"{heading.lower().replace(' ', '-')}.png")
+        write_png(figure, written[-1])
+        sections[heading] = inline_image(svg(figure), heading, caption)
+    written.append(folder / "report.html")
+    with replacing(written[-1]) as temporary:
+        temporary.write_text(page(title, lead, sections | dict(more or {})), encoding="utf-8")
+    return written

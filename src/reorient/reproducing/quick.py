@@ -1,0 +1,45 @@
+"""Which numbers of a figure hold when a tenth of it is measured again, on other pairs."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from reorient.errors import ReorientError
+from reorient.reporting.rows import read_table
+from reorient.reproducing import Figure
+from reorient.reproducing.findings import Finding, cells, held
+
+
+def verdicts(name: str, part: Sequence[Finding], figure: Figure, whole: Path, folder: Path) -> list[str]:
+    """In lines: the figure as a whole, then each number that differs or cannot be compared.
+
+    ``whole``: the folder with the rows of the whole figure; ``folder``: with those of the part.
+    """
+    try:
+        full = {finding.what: finding for finding in figure.findings(whole)}
+    except ReorientError as error:
+        return [f"{name}: not compared, there are no whole rows ({error})"]
+    if _objects(folder) - _objects(whole):
+        return [f"{name}: not compared, the rows in {whole} are of other objects (see --meshes and --only)"]
+    judged = [(finding, full.get(finding.what)) for finding in part]
+    compared = [(a, b, held(a, b)) for a, b in judged if b is not None]
+    told = [(a, b, holds) for a, b, holds in compared if holds is not None]
+    failed = [f"  differs: {a.what}: {_said(a)}, whole {_said(b)}" for a, b, holds in told if not holds]
+    without = len(part) - len(told)
+    missing = f"; {without} have no interval or no counterpart" if without else ""
+    verdict = "holds" if len(failed) <= _expected(len(told)) else "DOES NOT HOLD"
+    head = f"{name}: {verdict}: {len(told) - len(failed)} of {len(told)} numbers agree within their 95% intervals"
+    return [f"{head} (one in twenty may differ by chance){missing}", *failed]
+
+
+def _expected(n: int) -> int:
+    """How many of n may differ before it is no chance; numbers of one figure fail together, so twice the mean."""
+    return max(1, round(0.1 * n))
+
+
+def _said(finding: Finding) -> str:
+    value, between = cells(finding)[2:4]
+    return f"{value} ({between}, n = {finding.n})"
+
+
+def _objects(folder: Path) -> set[str]:
+    return {row["object"] for file in folder.rglob("*.csv.gz") for row in read_table(file, ["object"])}

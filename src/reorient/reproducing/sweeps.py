@@ -1,0 +1,215 @@
+"""Where learning beats geometry: one thing at a time made worse, for the networks and for registration.
+
+World `benchmark`; unless it is what is varied: 1 mm of depth noise, the paper's rectangle and dropouts, 0 to 30
+degrees, exact intrinsics, 128 pixels. No pivot is given. All levels of a sweep show the same objects in the same orientations.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from html import escape
+from pathlib import Path
+
+import numpy as np
+
+from reorient import so3
+from reorient.depth import DepthImage
+from reorient.errors import ReorientError
+from reorient.estimators import load_estimator
+from reorient.evaluation import Row
+from reorient.files import replacing
+from reorient.objects import ObjectSource
+from reorient.pairs import Pair, sample_pair
+from reorient.rendering import Renderer, load_world
+from reorient.reporting.curves import Curve, curves
+from reorient.reporting.rows import estimators, numbers, read_table
+from reorient.reproducing.conclusions import conclude
+from reorient.reproducing.findings import Finding, median, number, share
+from reorient.reproducing.one_shot import objects_of, of, write_page
+from reorient.reproducing.setting import Setting, collect
+from reorient.sensing import randomised
+from reorient.symmetry import SymmetryGroup, rotation_group, symmetric_error
+
+NAME = "sweeps"
+FILE = "rows.csv.gz"
+ESTIMATORS = ("paper", "swift", "gicp", "icp")
+PAIRS = 300
+WORLD = "benchmark"
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What a pair is seen under."""
+
+    noise_mm: float = 1.0
+    dropout: float = 0.01
+    """Share of the pixels without return."""
+    hidden: float | None = None
+    """Share of the start's returns behind a straight band; None: the paper's rectangle."""
+    focal_error: float = 0.0
+    """How far the focal length that the estimator is told is off, up or down."""
+    size_px: int = 128
+    """Of the image; the field of view stays."""
+    low_deg: float = 0.0
+    high_deg: float = 30.0
+
+
+RANGES_DEG = ((0, 10), (10, 20), (20, 30), (30, 45), (45, 60), (60, 90))
+SWEEPS: Mapping[str, tuple[str, Mapping[float, Condition]]] = {
+    "noise": ("depth noise, mm", {x: Condition(noise_mm=x) for x in (0.0, 0.5, 1.0, 2.0, 3.0, 5.0)}),
+    "dropouts": ("pixels without return, %", {x: Condition(dropout=x / 100) for x in (1.0, 5.0, 10.0, 25.0, 50.0)}),
+    "occlusion": ("part of the start hidden, %", {x: Condition(hidden=x / 100) for x in (0.0, 10.0, 20.0, 35.0, 50.0)}),
+    "intrinsics": ("focal length wrong by, %", {x: Condition(focal_error=x / 100) for x in (0.0, 1.0, 2.0, 3.0, 5.0)}),
+    "image size": ("pixels", {float(x): Condition(size_px=x) for x in (32, 48, 64, 96, 128, 256)}),
+    "angle": (
+        "angle between start and goal, degrees",
+        {(low + high) / 2: Condition(low_deg=low, high_deg=high) for low, high in RANGES_DEG},
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """What to measure."""
+
+    objects: ObjectSource
+    estimators: tuple[str, ...] = ESTIMATORS
+    pairs: int = PAIRS
+    """At each level, spread over the objects."""
+    seed: int = 0
+    world: str = WORLD
+    levels: Mapping[str, tuple[str, Mapping[float, Condition]]] = field(default_factory=lambda: SWEEPS)
+
+
+def measure(setting: Setting) -> None:
+    """All levels of all sweeps, pair by pair."""
+    config = Sweep(setting.household(), pairs=setting.part(PAIRS), seed=setting.seed)
+    names = config.objects.open().names
+    tasks = [(config, names[index % len(names)], index) for index in range(config.pairs)]
+    setting.progress(NAME, collect(setting.folder(NAME) / FILE, config, tasks, _measure_pair, setting.workers))
+
+
+def _measure_pair(task: tuple[Sweep, str, int]) -> list[Row]:
+    config, name, index = task
+    mesh = config.objects.open().load(name)
+    renderer, group = Renderer(mesh), rotation_group(mesh)
+    known: dict[Condition, list[Row]] = {}  # the usual condition is a level of most sweeps
+    rows = []
+    for sweep, (_, levels) in config.levels.items():
+        for level, condition in levels.items():
+            if condition not in known:
+                pair = see(renderer, condition, np.random.default_rng([config.seed, index]))
+                known[condition] = [_estimate(estimator, pair, group) for estimator in config.estimators]
+            head = {"object": name, "pair": str(index), "sweep": sweep, "level": f"{level:g}"}
+            rows += [head | row for row in known[condition]]
+    return rows
+
+
+_estimator = lru_cache(load_estimator)
+
+
+def _estimate(name: str, pair: Pair, group: SymmetryGroup) -> Row:
+    """What an estimator answers; one that refuses has answered "no rotation"."""
+    message = ""
+    try:
+        R = _estimator(name).estimate(pair.current, pair.goal).R_goal_current
+    except ReorientError as error:
+        R, message = np.eye(3), str(error)
+    true = pair.R_goal_current
+    return {
+        "estimator": name,
+        "angle_deg": f"{np.degrees(so3.angle(true)):.4f}",
+        "error_deg": f"{np.degrees(so3.angle_difference(R, true)):.5f}",
+        "error_sym_deg": f"{np.degrees(symmetric_error(group, R, true, pair.R_camera_object)):.5f}",
+        "message": message,
+    }
+
+
+def see(renderer: Renderer, condition: Condition, rng: np.random.Generator) -> Pair:
+    """A pair under a condition; the same ``rng`` shows the same orientations whatever the condition."""
+    world = load_world(WORLD)
+    world = replace(world, camera=world.camera.resized(condition.size_px, condition.size_px))
+    sensor = replace(
+        randomised(condition.noise_mm / 1000), dropout=condition.dropout, rectangle=condition.hidden is None
+    )
+    pair = sample_pair(rng, renderer, world, sensor, *np.radians([condition.low_deg, condition.high_deg]))
+    if condition.hidden:
+        pair = replace(pair, current=_behind_band(pair.current, condition.hidden, rng))
+    wrong = 1 + condition.focal_error * rng.choice([-1, 1])
+    camera = replace(world.camera, fx=world.camera.fx * wrong, fy=world.camera.fy * wrong)
+    return replace(pair, current=DepthImage(pair.current.depth_m, camera), goal=DepthImage(pair.goal.depth_m, camera))
+
+
+def _behind_band(image: DepthImage, hidden: float, rng: np.random.Generator) -> DepthImage:
+    """Without this share of the returns: those in a straight band of any direction and place."""
+    rows, columns = np.nonzero(image.valid)
+    direction = rng.uniform(0, np.pi)
+    across = np.cos(direction) * rows + np.sin(direction) * columns
+    first = rng.uniform(0, 1 - hidden)
+    low, high = np.quantile(across, [first, first + hidden])
+    behind = (across >= low) & (across <= high)
+    depth_m = image.depth_m.copy()
+    depth_m[rows[behind], columns[behind]] = 0
+    return DepthImage(depth_m, image.camera)
+
+
+def _rows(folder: Path) -> dict[str, dict[float, list[Row]]]:
+    """The rows by sweep and level."""
+    sorted_rows: dict[str, dict[float, list[Row]]] = {}
+    for row in read_table(folder / FILE, ["sweep", "level", "estimator", "error_deg"]):
+        sorted_rows.setdefault(row["sweep"], {}).setdefault(float(row["level"]), []).append(row)
+    return sorted_rows
+
+
+def findings(folder: Path) -> Sequence[Finding]:
+    """The share within 5 degrees of each estimator at each level, and the median."""
+    found = []
+    for sweep, levels in _rows(folder).items():
+        for level, rows in levels.items():
+            for name in estimators(rows):
+                mine = of(rows, name)
+                errors_deg, groups = numbers(mine, "error_deg"), objects_of(mine)
+                words = f"{SWEEPS[sweep][0]} {level:g}, {name}"
+                found.append(share(f"{words}: within 5°", errors_deg < 5, groups))
+                found.append(number(f"{words}: median", errors_deg, groups, median))
+    return found
+
+
+def draw(setting: Setting, folder: Path) -> list[Path]:
+    """One figure a sweep: share within 5 degrees and median; and a page of conclusions."""
+    sweeps = _rows(folder)
+    figures = {}
+    for sweep, levels in sweeps.items():
+        xlabel = SWEEPS[sweep][0]
+        shares, medians = (
+            {name: _curve(levels, name, which) for name in estimators(next(iter(levels.values())))}
+            for which in ("within", "median")
+        )
+        figures[sweep.capitalize()] = (
+            curves({"within 5°": shares}, xlabel, "share of pairs (95% interval)", unit="%", logarithmic=False),
+            "Share of pairs within 5 degrees.",
+        )
+        figures[f"{sweep.capitalize()} median"] = (
+            curves({"median": medians}, xlabel, "median error (95% interval)"), "Median of the plain error.",
+        )  # fmt: skip
+    said = conclude(sweeps, {sweep: words for sweep, (words, _) in SWEEPS.items()})
+    text = folder / "conclusions.md"
+    with replacing(text) as temporary:
+        temporary.write_text("# Where learning beats geometry\n\n" + "".join(f"- {line}\n" for line in said))
+    rows = [row for levels in sweeps.values() for at in levels.values() for row in at]
+    pairs = len({row["pair"] for row in rows})
+    lead = f"{pairs} pairs a level of {len(set(objects_of(rows)))} unseen objects; everything else as it is usual: " + (
+        "1 mm of noise, rectangle, 1% dropouts, 0 to 30 degrees, exact intrinsics, 128 pixels, no pivot."
+    )
+    more = {"Conclusions": "<ul>" + "".join(f"<li>{escape(line)}</li>" for line in said) + "</ul>"}
+    return [text, *write_page(folder, "Where does learning beat geometry?", lead, findings(folder), figures, more)]
+
+
+def _curve(levels: Mapping[float, list[Row]], estimator: str, which: str) -> Curve:
+    found = []
+    for rows in levels.values():
+        mine = of(rows, estimator)
+        errors_deg, groups = numbers(mine, "error_deg"), objects_of(mine)
+        found.append(share("", errors_deg < 5, groups) if which == "within" else number("", errors_deg, groups, median))
+    x = np.array(list(levels))
+    return Curve(x, *(np.array([getattr(f, end) for f in found]) for end in ("value", "low", "high")))
