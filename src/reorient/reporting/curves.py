@@ -41,7 +41,7 @@ def curves(
         grid = figure.subplots(1, len(panels), squeeze=False, sharey=True)[0]
         for axes, (title, lines) in zip(grid, panels.items(), strict=True):
             for name, curve in lines.items():
-                marker = "o" if len(curve.x) < 30 else None
+                marker = "o" if len(curve.x) <= 12 else None
                 axes.fill_between(curve.x, curve.low, curve.high, color=colours[name], alpha=0.15, linewidth=0)
                 axes.plot(curve.x, curve.y, color=colours[name], marker=marker, markersize=3)
             for said, level in (levels or {}).items():

@@ -7,7 +7,7 @@ there; ``findings(folder)``, the numbers that the rows amount to; and ``draw(set
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Literal, Protocol, cast, get_args
+from typing import Literal, Protocol, cast, get_args, runtime_checkable
 
 from reorient.errors import unknown_name
 from reorient.reproducing.findings import Finding
@@ -17,6 +17,7 @@ Name = Literal["object-sets", "best-worst", "sweeps", "controller", "non-symmetr
 NAMES: tuple[Name, ...] = get_args(Name)  # the cheap ones first
 
 
+@runtime_checkable
 class Figure(Protocol):
     """What each module of this room offers."""
 

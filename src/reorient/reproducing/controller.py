@@ -14,7 +14,7 @@ from reorient.loop_trials import LoopTrials, run_trial, tasks
 from reorient.objects import ObjectSource
 from reorient.reporting.curves import Curve, curves, histograms
 from reorient.reporting.rows import estimators, numbers, read_table
-from reorient.reproducing.findings import Finding, mean, median, number, share
+from reorient.reproducing.findings import Finding, number, share
 from reorient.reproducing.one_shot import objects_of, of, write_page
 from reorient.reproducing.setting import Setting, collect
 
@@ -48,13 +48,13 @@ def findings(folder: Path) -> Sequence[Finding]:
         paper = PAPER if name == "paper" else dict.fromkeys(PAPER, "")
         differs = DIFFERS if name == "paper" else ""
         found += [
-            number(f"{name}: median final error", final, groups, median, paper=paper["median"], differs=differs),
-            number(f"{name}: median final error, symmetry-aware", aware, groups, median),
+            number(f"{name}: median final error", final, groups, "median", paper=paper["median"], differs=differs),
+            number(f"{name}: median final error, symmetry-aware", aware, groups, "median"),
             share(f"{name}: within 5°", final < 5, groups, paper=paper["within"], differs=differs),
             share(f"{name}: within 5°, symmetry-aware", aware < 5, groups),
             share(f"{name}: above 30°", final > 30, groups, paper=paper["above"], differs=differs),
-            number(f"{name}: moves, mean", numbers(mine, "moves"), groups, mean, unit=""),
-            number(f"{name}: moves, median", numbers(mine, "moves"), groups, median, unit=""),
+            number(f"{name}: moves, mean", numbers(mine, "moves"), groups, unit=" moves"),
+            number(f"{name}: moves, median", numbers(mine, "moves"), groups, "median", unit=" moves"),
             share(f"{name}: ended at the limit of 100 images", numbers(mine, "converged") == 0, groups),
         ]
     return found
@@ -66,7 +66,7 @@ def by_iteration(rows: Sequence[Row]) -> Curve:
     last = max(len(errors) for errors in loops)
     whole = np.array([[*errors, *[errors[-1]] * (last - len(errors))] for errors in loops])
     low, middle, high = np.percentile(whole, [25, 50, 75], axis=0)
-    return Curve(np.arange(last), middle, low, high)
+    return Curve(np.arange(last).astype(float), middle, low, high)
 
 
 def draw(setting: Setting, folder: Path) -> list[Path]:

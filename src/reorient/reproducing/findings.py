@@ -1,10 +1,11 @@
 """A number with its interval, beside the paper's; and whether it holds when a part of it is measured again."""
 
 import csv
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from html import escape
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -13,17 +14,7 @@ from reorient.files import replacing
 from reorient.reporting.rows import wilson
 
 RESAMPLES = 1000
-Statistic = Callable[[np.ndarray], float]
-
-
-def mean(values: np.ndarray) -> float:
-    """The mean."""
-    return float(np.mean(values))
-
-
-def median(values: np.ndarray) -> float:
-    """The median."""
-    return float(np.median(values))
+Statistic = Literal["mean", "median"]
 
 
 @dataclass(frozen=True)
@@ -45,17 +36,20 @@ class Finding:
 
 
 def interval(
-    values: Float[np.ndarray, " n"], groups: Sequence[str], statistic: Statistic = mean
+    values: Float[np.ndarray, " n"], groups: Sequence[str], statistic: Statistic = "mean"
 ) -> tuple[float, float]:
     """95% bootstrap interval of a statistic; whole groups (objects) are drawn, as errors of one object go together."""
     which = np.unique(np.asarray(groups), return_inverse=True)[1]
-    members = np.split(np.argsort(which, kind="stable"), np.cumsum(np.bincount(which))[:-1])
+    count = int(which.max()) + 1
     rng = np.random.default_rng(0)
-    drawn = [
-        statistic(values[np.concatenate([members[i] for i in rng.integers(len(members), size=len(members))])])
-        for _ in range(RESAMPLES)
-    ]
-    low, high = np.percentile(drawn, [2.5, 97.5])
+    drawn = rng.multinomial(count, np.full(count, 1 / count), size=RESAMPLES)  # how often each group is
+    if statistic == "mean":
+        found = drawn @ np.bincount(which, values) / (drawn @ np.bincount(which))
+    else:
+        order = np.argsort(values)
+        weight = np.cumsum(drawn[:, which[order]], axis=1)
+        found = values[order][np.argmax(weight >= weight[:, -1:] / 2, axis=1)]
+    low, high = np.percentile(found, [2.5, 97.5])
     return float(low), float(high)
 
 
@@ -63,14 +57,15 @@ def number(
     what: str,
     values: Float[np.ndarray, " n"],
     groups: Sequence[str],
-    statistic: Statistic = mean,
+    statistic: Statistic = "mean",
     *,
     unit: str = "°",
     paper: str = "",
     differs: str = "",
 ) -> Finding:
     """A statistic of some values, with its interval."""
-    return Finding(what, statistic(values), *interval(values, groups, statistic), len(values), unit, paper, differs)
+    value = float(np.mean(values) if statistic == "mean" else np.median(values))
+    return Finding(what, value, *interval(values, groups, statistic), len(values), unit, paper, differs)
 
 
 def share(what: str, hits: np.ndarray, groups: Sequence[str], *, paper: str = "", differs: str = "") -> Finding:

@@ -24,7 +24,7 @@ from reorient.recipes import LossName
 from reorient.reporting.curves import curves, histograms
 from reorient.reporting.rows import estimators, numbers, read_rows, read_table
 from reorient.reporting.tables import html_table
-from reorient.reproducing.findings import Finding, mean, number, share
+from reorient.reproducing.findings import Finding, number, share
 from reorient.reproducing.networks import Network, make_network
 from reorient.reproducing.one_shot import (
     NOTHING,
@@ -134,7 +134,7 @@ def findings(folder: Path) -> Sequence[Finding]:
         said = "near zero" if name.startswith(ALONE) else ""
         differs = "the last layer begins near no rotation" if said else ""
         words = f"{name}: mean absolute real part"
-        found.append(number(words, np.abs(real), groups, mean, unit="", paper=said, differs=differs))
+        found.append(number(words, np.abs(real), groups, "mean", unit="", paper=said, differs=differs))
         found.append(share(f"{name}: real part negative", real < 0, groups))
     return found
 

@@ -13,7 +13,7 @@ from reorient.reporting.curves import Curve, curves
 from reorient.reporting.page import inline_image, page
 from reorient.reporting.rows import estimators, numbers, read_rows
 from reorient.reporting.style import svg, write_png
-from reorient.reproducing.findings import Finding, html_findings, interval, mean, number
+from reorient.reproducing.findings import Finding, html_findings, interval, number
 from reorient.reproducing.networks import Network
 from reorient.reproducing.setting import Setting
 
@@ -59,8 +59,8 @@ def mean_errors(
         mine = of(rows, name)
         plain, aware = (numbers(mine, column) for column in ("error_deg", "error_sym_deg"))
         words, groups = f"{of_what}, {name}", objects_of(mine)
-        beside = {"paper": paper.get(name, ""), "differs": differs.get(name, "")}
-        found.append(number(f"{words}: mean error", plain, groups, **beside))
+        known, but = paper.get(name, ""), differs.get(name, "")
+        found.append(number(f"{words}: mean error", plain, groups, paper=known, differs=but))
         found.append(number(f"{words}: symmetry-aware mean", aware, groups))
     return found
 
@@ -74,7 +74,7 @@ def against_angle(rows: Sequence[Row], column: str = "error_deg") -> dict[str, C
         edges = np.linspace(float(mine[0]["low_deg"]), float(mine[0]["high_deg"]), BINS + 1)
         which = np.clip(np.searchsorted(edges, angle_deg, side="right") - 1, 0, BINS - 1)
         bins = [b for b in range(BINS) if np.any(which == b)]
-        means = [mean(values[which == b]) for b in bins]
+        means = [np.mean(values[which == b]) for b in bins]
         ends = [interval(values[which == b], groups[which == b].tolist()) for b in bins]
         middles = (edges[bins] + edges[np.add(bins, 1)]) / 2
         drawn[name] = Curve(middles, np.array(means), *np.array(ends).T)

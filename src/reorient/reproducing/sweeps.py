@@ -1,11 +1,10 @@
 """Where learning beats geometry: one thing at a time made worse, for the networks and for registration.
 
-World `benchmark`; unless it is what is varied: 1 mm of depth noise, the paper's rectangle and dropouts, 0 to 30
-degrees, exact intrinsics, 128 pixels. No pivot is given. All levels of a sweep show the same objects in the same orientations.
+What is usual and what is varied: ``conditions``. No pivot is given.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 from html import escape
 from pathlib import Path
@@ -13,59 +12,26 @@ from pathlib import Path
 import numpy as np
 
 from reorient import so3
-from reorient.depth import DepthImage
 from reorient.errors import ReorientError
 from reorient.estimators import load_estimator
 from reorient.evaluation import Row
 from reorient.files import replacing
 from reorient.objects import ObjectSource
-from reorient.pairs import Pair, sample_pair
-from reorient.rendering import Renderer, load_world
+from reorient.pairs import Pair
+from reorient.rendering import Renderer
 from reorient.reporting.curves import Curve, curves
 from reorient.reporting.rows import estimators, numbers, read_table
 from reorient.reproducing.conclusions import conclude
-from reorient.reproducing.findings import Finding, median, number, share
+from reorient.reproducing.conditions import SWEEPS, WORLD, Condition, see
+from reorient.reproducing.findings import Finding, number, share
 from reorient.reproducing.one_shot import objects_of, of, write_page
 from reorient.reproducing.setting import Setting, collect
-from reorient.sensing import randomised
 from reorient.symmetry import SymmetryGroup, rotation_group, symmetric_error
 
 NAME = "sweeps"
 FILE = "rows.csv.gz"
 ESTIMATORS = ("paper", "swift", "gicp", "icp")
 PAIRS = 300
-WORLD = "benchmark"
-
-
-@dataclass(frozen=True)
-class Condition:
-    """What a pair is seen under."""
-
-    noise_mm: float = 1.0
-    dropout: float = 0.01
-    """Share of the pixels without return."""
-    hidden: float | None = None
-    """Share of the start's returns behind a straight band; None: the paper's rectangle."""
-    focal_error: float = 0.0
-    """How far the focal length that the estimator is told is off, up or down."""
-    size_px: int = 128
-    """Of the image; the field of view stays."""
-    low_deg: float = 0.0
-    high_deg: float = 30.0
-
-
-RANGES_DEG = ((0, 10), (10, 20), (20, 30), (30, 45), (45, 60), (60, 90))
-SWEEPS: Mapping[str, tuple[str, Mapping[float, Condition]]] = {
-    "noise": ("depth noise, mm", {x: Condition(noise_mm=x) for x in (0.0, 0.5, 1.0, 2.0, 3.0, 5.0)}),
-    "dropouts": ("pixels without return, %", {x: Condition(dropout=x / 100) for x in (1.0, 5.0, 10.0, 25.0, 50.0)}),
-    "occlusion": ("part of the start hidden, %", {x: Condition(hidden=x / 100) for x in (0.0, 10.0, 20.0, 35.0, 50.0)}),
-    "intrinsics": ("focal length wrong by, %", {x: Condition(focal_error=x / 100) for x in (0.0, 1.0, 2.0, 3.0, 5.0)}),
-    "image size": ("pixels", {float(x): Condition(size_px=x) for x in (32, 48, 64, 96, 128, 256)}),
-    "angle": (
-        "angle between start and goal, degrees",
-        {(low + high) / 2: Condition(low_deg=low, high_deg=high) for low, high in RANGES_DEG},
-    ),
-}
 
 
 @dataclass(frozen=True)
@@ -125,34 +91,6 @@ def _estimate(name: str, pair: Pair, group: SymmetryGroup) -> Row:
     }
 
 
-def see(renderer: Renderer, condition: Condition, rng: np.random.Generator) -> Pair:
-    """A pair under a condition; the same ``rng`` shows the same orientations whatever the condition."""
-    world = load_world(WORLD)
-    world = replace(world, camera=world.camera.resized(condition.size_px, condition.size_px))
-    sensor = replace(
-        randomised(condition.noise_mm / 1000), dropout=condition.dropout, rectangle=condition.hidden is None
-    )
-    pair = sample_pair(rng, renderer, world, sensor, *np.radians([condition.low_deg, condition.high_deg]))
-    if condition.hidden:
-        pair = replace(pair, current=_behind_band(pair.current, condition.hidden, rng))
-    wrong = 1 + condition.focal_error * rng.choice([-1, 1])
-    camera = replace(world.camera, fx=world.camera.fx * wrong, fy=world.camera.fy * wrong)
-    return replace(pair, current=DepthImage(pair.current.depth_m, camera), goal=DepthImage(pair.goal.depth_m, camera))
-
-
-def _behind_band(image: DepthImage, hidden: float, rng: np.random.Generator) -> DepthImage:
-    """Without this share of the returns: those in a straight band of any direction and place."""
-    rows, columns = np.nonzero(image.valid)
-    direction = rng.uniform(0, np.pi)
-    across = np.cos(direction) * rows + np.sin(direction) * columns
-    first = rng.uniform(0, 1 - hidden)
-    low, high = np.quantile(across, [first, first + hidden])
-    behind = (across >= low) & (across <= high)
-    depth_m = image.depth_m.copy()
-    depth_m[rows[behind], columns[behind]] = 0
-    return DepthImage(depth_m, image.camera)
-
-
 def _rows(folder: Path) -> dict[str, dict[float, list[Row]]]:
     """The rows by sweep and level."""
     sorted_rows: dict[str, dict[float, list[Row]]] = {}
@@ -171,7 +109,7 @@ def findings(folder: Path) -> Sequence[Finding]:
                 errors_deg, groups = numbers(mine, "error_deg"), objects_of(mine)
                 words = f"{SWEEPS[sweep][0]} {level:g}, {name}"
                 found.append(share(f"{words}: within 5°", errors_deg < 5, groups))
-                found.append(number(f"{words}: median", errors_deg, groups, median))
+                found.append(number(f"{words}: median", errors_deg, groups, "median"))
     return found
 
 
@@ -210,6 +148,7 @@ def _curve(levels: Mapping[float, list[Row]], estimator: str, which: str) -> Cur
     for rows in levels.values():
         mine = of(rows, estimator)
         errors_deg, groups = numbers(mine, "error_deg"), objects_of(mine)
-        found.append(share("", errors_deg < 5, groups) if which == "within" else number("", errors_deg, groups, median))
+        within = which == "within"
+        found.append(share("", errors_deg < 5, groups) if within else number("", errors_deg, groups, "median"))
     x = np.array(list(levels))
     return Curve(x, *(np.array([getattr(f, end) for f in found]) for end in ("value", "low", "high")))
