@@ -15,13 +15,14 @@ from reorient.objects import ObjectSource, generated
 from reorient.pairs import sample_pair
 from reorient.rendering import Renderer, load_world
 from reorient.reporting.rows import read_table
-from reorient.reproducing import NAMES, controller, load_figure, object_sets, sweeps
+from reorient.reproducing import NAMES, controller, object_sets, sweeps
 from reorient.reproducing.conclusions import conclude
 from reorient.reproducing.conditions import SWEEPS, Condition, see
+from reorient.reproducing.figure import load_figure
 from reorient.reproducing.findings import Finding, held, interval, share
 from reorient.reproducing.full import shape_match
+from reorient.reproducing.making import verdicts
 from reorient.reproducing.one_shot import NOTHING, RELEASED
-from reorient.reproducing.quick import verdicts
 from reorient.reproducing.setting import Setting, collect
 from reorient.sensing import randomised
 

@@ -8,7 +8,8 @@ from reorient.cli import main
 from reorient.objects import generated
 from reorient.recipes import load_preset
 from reorient.reporting.rows import read_table
-from reorient.reproducing import full, load_figure, networks, non_symmetric
+from reorient.reproducing import full, networks, non_symmetric
+from reorient.reproducing.figure import load_figure
 
 
 @pytest.fixture

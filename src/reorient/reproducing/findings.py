@@ -93,6 +93,7 @@ def write_findings(findings: Sequence[Finding], path: Path) -> None:
             writer.writerow({key: f"{x:.4f}" if isinstance(x, float) else x for key, x in asdict(finding).items()})
 
 
+WORDS = (0, 5)  # which of the columns are set to the left
 HEADINGS = ("number", "paper", "ours", "95%", "n", "what differs")
 
 
@@ -108,7 +109,7 @@ def html_findings(findings: Sequence[Finding]) -> str:
     """The table as HTML."""
 
     def row(line: Sequence[str], tag: str) -> str:
-        sides = ["word" if index in (0, 5) else "" for index in range(len(line))]
+        sides = ["word" if index in WORDS else "" for index in range(len(line))]
         return (
             "<tr>"
             + "".join(f'<{tag} class="{s}">{escape(c)}</{tag}>' for s, c in zip(sides, line, strict=True))

@@ -35,7 +35,7 @@ from reorient.reproducing.one_shot import (
     objects_of,
     of,
     write_page,
-)  # fmt: skip
+)
 from reorient.reproducing.setting import Setting, collect
 
 NAME = "full"

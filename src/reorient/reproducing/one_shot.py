@@ -97,14 +97,18 @@ def write_page(
     figures: Mapping[str, tuple[Figure, str]],
     more: Mapping[str, str] | None = None,
 ) -> list[Path]:
-    """``report.html`` and a PNG for each figure (by heading, with its caption); returns what was written."""
+    """``report.html`` and a PNG for each figure (by heading, with its caption); returns what was written.
+
+    ``more``: sections of HTML above the figures.
+    """
     written = []
-    sections = {"Numbers": html_findings(findings)}
+    sections = dict(more or {})
     for heading, (figure, caption) in figures.items():
         written.append(folder / f"{heading.lower().replace(' ', '-')}.png")
         write_png(figure, written[-1])
         sections[heading] = inline_image(svg(figure), heading, caption)
+    sections["Numbers"] = html_findings(findings)
     written.append(folder / "report.html")
     with replacing(written[-1]) as temporary:
-        temporary.write_text(page(title, lead, sections | dict(more or {})), encoding="utf-8")
+        temporary.write_text(page(title, lead, sections), encoding="utf-8")
     return written

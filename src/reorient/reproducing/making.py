@@ -1,12 +1,46 @@
-"""Which numbers of a figure hold when a tenth of it is measured again, on other pairs."""
+"""A figure from end to end; of a part of one, which of its numbers hold on other pairs."""
 
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from rich.console import Console
+from rich.table import Table
+
 from reorient.errors import ReorientError
 from reorient.reporting.rows import read_table
-from reorient.reproducing import Figure
-from reorient.reproducing.findings import Finding, cells, held
+from reorient.reproducing.figure import Figure, load_figure
+from reorient.reproducing.findings import HEADINGS, WORDS, Finding, cells, held, write_findings
+from reorient.reproducing.setting import Setting
+
+MOST_LINES = 80  # of a table on the screen
+
+
+def reproduce(name: str, setting: Setting) -> None:
+    """Measure what is missing, draw, print the numbers (of a part: whether those of the whole hold)."""
+    began = time.monotonic()
+    figure, folder = load_figure(name), setting.folder(name)
+    figure.measure(setting)
+    findings = figure.findings(folder)
+    write_findings(findings, folder / "numbers.csv")
+    written = figure.draw(setting, folder)
+    if setting.quick:
+        print(*verdicts(name, findings, figure, setting.out / name, folder), sep="\n")
+    else:
+        _print(name, findings)
+    print(f"{name}: {(time.monotonic() - began) / 60:.1f} minutes; {written[-1]}", flush=True)
+
+
+def _print(name: str, findings: Sequence[Finding]) -> None:
+    if len(findings) > MOST_LINES:
+        print(f"{name}: {len(findings)} numbers, in numbers.csv and on the page")
+        return
+    table = Table(title=name, title_justify="left", header_style="bold")
+    for index, heading in enumerate(HEADINGS):
+        table.add_column(heading, justify="left" if index in WORDS else "right", no_wrap=index != WORDS[-1])
+    for finding in findings:
+        table.add_row(*cells(finding))
+    Console(width=max(Console().width, 160)).print(table)
 
 
 def verdicts(name: str, part: Sequence[Finding], figure: Figure, whole: Path, folder: Path) -> list[str]:
