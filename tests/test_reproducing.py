@@ -91,9 +91,9 @@ def test_conclusions_name_the_winner_level_by_level():
         5.0: rows({"swift": good, "gicp": bad, "paper": bad, "icp": bad}),
     }
     first, ours, papers = conclude({"noise": levels}, {"noise": "depth noise, mm"})
-    assert first == "Learning is ahead of geometry at 1 of the levels: swift over gicp, depth noise, mm 5."
-    assert "swift is ahead at 5 (100% / 0%); gicp is ahead at 0 (0% / 100%)" in ours
-    assert "nobody can be told to be ahead at 0 (0% / 0%), 5 (0% / 0%)" in papers
+    assert first == "Learning is ahead of geometry at 1 of the levels: swift of gicp at 5 (depth noise, mm)."
+    assert "swift is ahead at 5 (100% and 0%); gicp is ahead at 0 (0% and 100%)" in ours
+    assert "it cannot be told at 0 (0% and 0%), 5 (0% and 0%)" in papers
 
 
 # --- baselines ------------------------------------------------------------------------------------------------------

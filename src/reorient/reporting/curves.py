@@ -1,7 +1,8 @@
 """Figures of an experiment: an error against something that is varied, and how the errors are spread."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -9,7 +10,7 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from reorient.reporting.style import PAGE_INCHES, STYLE, colours_of, degrees, legend, width_inches
+from reorient.reporting.style import PAGE_INCHES, STYLE, colours_of, legend, width_inches
 
 
 @dataclass(frozen=True)
@@ -22,43 +23,50 @@ class Curve:
     high: Float[np.ndarray, " n"]
 
 
-Panels = Mapping[str, Mapping[str, Curve]]
-"""By title and estimator."""
+@dataclass(frozen=True)
+class Panel:
+    """Some lines over one pair of axes."""
+
+    title: str
+    lines: Mapping[str, Curve]
+    """By estimator."""
+    ylabel: str
+    unit: str = "°"
+    """Of the ticks along y."""
+    logarithmic: bool = True
+    levels: Mapping[str, float] = field(default_factory=dict)
+    """Dotted lines to compare with, by what they are."""
 
 
-def curves(
-    panels: Panels,
-    xlabel: str,
-    ylabel: str,
-    unit: str = "°",
-    logarithmic: bool = True,
-    levels: Mapping[str, float] | None = None,
-) -> Figure:
-    """One panel a title; ``levels``: dotted lines to compare with, and what they are. A ``unit`` of "" is no degree."""
-    colours = colours_of(dict.fromkeys(name for panel in panels.values() for name in panel))
+def curves(panels: Sequence[Panel], xlabel: str) -> Figure:
+    """Panels side by side; those of one kind share their y axis."""
+    colours = colours_of(dict.fromkeys(name for panel in panels for name in panel.lines))
+    alike = len({(panel.ylabel, panel.logarithmic) for panel in panels}) == 1
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(width_inches(max(len(panels), 2)), 3.6))
-        grid = figure.subplots(1, len(panels), squeeze=False, sharey=True)[0]
-        for axes, (title, lines) in zip(grid, panels.items(), strict=True):
-            for name, curve in lines.items():
+        grid = figure.subplots(1, len(panels), squeeze=False, sharey=alike)[0]
+        for axes, panel in zip(grid, panels, strict=True):
+            for name, curve in panel.lines.items():
                 marker = "o" if len(curve.x) <= 12 else None
-                axes.fill_between(curve.x, curve.low, curve.high, color=colours[name], alpha=0.15, linewidth=0)
+                axes.fill_between(curve.x, curve.low, curve.high, color=colours[name], alpha=0.12, linewidth=0)
                 axes.plot(curve.x, curve.y, color=colours[name], marker=marker, markersize=3)
-            for said, level in (levels or {}).items():
+            for said, level in panel.levels.items():
                 axes.axhline(level, color="#7a808c", lw=1.1, ls=":", zorder=0)
-                axes.annotate(
-                    said, (0.99, level), xycoords=("axes fraction", "data"), ha="right", va="bottom", size=7.5
-                )
-            axes.set(title=title, xlabel=xlabel)
-            if logarithmic:
+                where: Any = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "bottom"}
+                axes.annotate(said, (0.99, level), size=7.5, color="#5b6270", **where)
+            axes.set(title=panel.title, xlabel=xlabel)
+            if panel.logarithmic:
                 axes.set_yscale("log")
                 axes.yaxis.set_minor_formatter(NullFormatter())
-            axes.yaxis.set_major_formatter(
-                degrees() if unit == "°" else FuncFormatter(lambda value, _: f"{value:g}{unit}")
-            )
-        grid[0].set_ylabel(ylabel)
+            axes.yaxis.set_major_formatter(_ticks(panel.unit))
+            if axes is grid[0] or not alike:
+                axes.set_ylabel(panel.ylabel)
         legend(figure, colours)
     return figure
+
+
+def _ticks(unit: str) -> FuncFormatter:
+    return FuncFormatter(lambda value, _: f"{value:g}{unit}")
 
 
 def histograms(
@@ -70,7 +78,6 @@ def histograms(
     """
     names = list(dict.fromkeys(name for panel in panels.values() for name in panel))
     colours = colours_of(names)
-    ticks = degrees() if unit == "°" else FuncFormatter(lambda value, _: f"{value:g}{unit}")
     with mpl.rc_context(STYLE | {"axes.grid": False}):
         figure = Figure(figsize=(PAGE_INCHES, 0.85 * len(names) + 0.9))
         grid = figure.subplots(len(names), len(panels), squeeze=False, sharex=True)
@@ -87,5 +94,5 @@ def histograms(
                     said = f"{name}: median {np.median(values):.3g}{unit}, last bin {part[-1]:.0%}"
                     axes.annotate(said, (0.99, 0.92), xycoords="axes fraction", ha="right", va="top", size=8.5)
             column[-1].set_xlabel(xlabel)
-            column[-1].xaxis.set_major_formatter(ticks)
+            column[-1].xaxis.set_major_formatter(_ticks(unit))
     return figure

@@ -2,8 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from reorient.evaluation import Row
 from reorient.reporting.rows import numbers
 from reorient.reproducing.findings import interval
@@ -13,7 +11,7 @@ Levels = Mapping[float, Sequence[Row]]
 
 
 def conclude(sweeps: Mapping[str, Levels], words: Mapping[str, str]) -> list[str]:
-    """A sentence for each pair of rivals and sweep, and one on where learning is ahead at all.
+    """One sentence on where learning is ahead at all, then one for each pair of rivals and sweep.
 
     ``words``: what a sweep varies. Shares within 5 degrees are compared pair by pair; ahead means that the 95%
     interval of the difference leaves out zero.
@@ -23,26 +21,25 @@ def conclude(sweeps: Mapping[str, Levels], words: Mapping[str, str]) -> list[str
         for sweep, levels in sweeps.items():
             ahead: dict[str, list[str]] = {learned: [], geometric: [], "": []}
             for level, rows in levels.items():
-                low, high, said = _difference(rows, learned, geometric)
+                low, high, mine, other = _compared(rows, learned, geometric)
                 winner = learned if low > 0 else geometric if high < 0 else ""
-                ahead[winner].append(f"{level:g} ({said})")
+                ahead[winner].append(f"{level:g} ({mine:.0%} and {other:.0%})")
                 if winner == learned:
-                    wins.append(f"{learned} over {geometric}, {words[sweep]} {level:g}")
+                    wins.append(f"{learned} of {geometric} at {level:g} ({words[sweep]})")
             parts = [f"{name} is ahead at {', '.join(at)}" for name, at in ahead.items() if name and at]
             if ahead[""]:
-                parts.append(f"nobody can be told to be ahead at {', '.join(ahead[''])}")
-            sentences.append(f"{words[sweep]}, {learned} against {geometric}: {'; '.join(parts)}.")
+                parts.append(f"it cannot be told at {', '.join(ahead[''])}")
+            sentences.append(f"{words[sweep].capitalize()}; {learned} and {geometric}: {'; '.join(parts)}.")
     first = (
-        f"Learning is ahead of geometry at {len(wins)} of the levels: {'; '.join(wins)}."
+        f"Learning is ahead of geometry at {len(wins)} of the levels: {', '.join(wins)}."
         if wins
         else "Learning is ahead of geometry at none of the levels."
     )
     return [first, *sentences]
 
 
-def _difference(rows: Sequence[Row], learned: str, geometric: str) -> tuple[float, float, str]:
-    """The interval of the learned's share within 5 degrees less the geometric's, and both shares in words."""
+def _compared(rows: Sequence[Row], learned: str, geometric: str) -> tuple[float, float, float, float]:
+    """The interval of the learned's share within 5 degrees less the geometric's, and both shares."""
     mine, other = ([row for row in rows if row["estimator"] == name] for name in (learned, geometric))
-    within, rival = numbers(mine, "error_deg") < 5, numbers(other, "error_deg") < 5
-    low, high = interval(within.astype(float) - rival.astype(float), [row["object"] for row in mine])
-    return low, high, f"{np.mean(within):.0%} / {np.mean(rival):.0%}"
+    within, rival = ((numbers(chosen, "error_deg") < 5).astype(float) for chosen in (mine, other))
+    return *interval(within - rival, [row["object"] for row in mine]), float(within.mean()), float(rival.mean())

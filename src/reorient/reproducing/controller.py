@@ -12,7 +12,7 @@ import numpy as np
 from reorient.evaluation import Row
 from reorient.loop_trials import LoopTrials, run_trial, tasks
 from reorient.objects import ObjectSource
-from reorient.reporting.curves import Curve, curves, histograms
+from reorient.reporting.curves import Curve, Panel, curves, histograms
 from reorient.reporting.rows import estimators, numbers, read_table
 from reorient.reproducing.findings import Finding, number, share
 from reorient.reproducing.one_shot import objects_of, of, write_page
@@ -80,7 +80,7 @@ def draw(setting: Setting, folder: Path) -> list[Path]:
     levels = {"paper's median at the end, 1.47°": 1.47}
     figures = {
         "Error against iteration": (
-            curves({most: lines}, "moves", "error (median, quartiles)", levels=levels),
+            curves([Panel(most, lines, "error (median, quartiles)", levels=levels)], "moves"),
             "A loop that has ended keeps its last error.",
         ),
         "Final errors": (

@@ -21,7 +21,7 @@ from reorient.meshes import some_vertices
 from reorient.objects import ObjectSource, split
 from reorient.pairs import PairSet
 from reorient.recipes import LossName
-from reorient.reporting.curves import curves, histograms
+from reorient.reporting.curves import Panel, curves, histograms
 from reorient.reporting.rows import estimators, numbers, read_rows, read_table
 from reorient.reporting.tables import html_table
 from reorient.reproducing.findings import Finding, number, share
@@ -148,12 +148,10 @@ def draw(setting: Setting, folder: Path) -> list[Path]:
     learned = [name for name in names if name.startswith(LEARNED)]
     real = {"real part": {name: numbers(of(shapes, name), "raw_real").tolist() for name in learned}}
     unit = "thousandths of the squared bounding radius"
+    panel = Panel("", against_angle(shapes, "shape_match"), "mean ShapeMatch, thousandths (95% interval)", unit="")
     figures = {
         "ShapeMatch against angle": (
-            curves(
-                {"all test objects": against_angle(shapes, "shape_match")},
-                "angle between start and goal", "mean ShapeMatch, thousandths", unit="",
-            ),
+            curves([panel], "angle between start and goal"),
             f"Mean ShapeMatch error, {unit}, with its 95% interval.",
         ),
         "ShapeMatch histograms": (

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from reorient.evaluation import Evaluation, Row, evaluate
 from reorient.files import replacing
 from reorient.objects import ObjectSource
-from reorient.reporting.curves import Curve, curves
+from reorient.reporting.curves import Curve, Panel, curves
 from reorient.reporting.page import inline_image, page
 from reorient.reporting.rows import estimators, numbers, read_rows
 from reorient.reporting.style import svg, write_png
@@ -83,10 +83,9 @@ def against_angle(rows: Sequence[Row], column: str = "error_deg") -> dict[str, C
 
 def angle_figure(panels: Mapping[str, Sequence[Row]], levels: Mapping[str, float]) -> Figure:
     """Mean error against angle, a panel for each set of rows."""
-    return curves(
-        {title: against_angle(rows) for title, rows in panels.items()},
-        "angle between start and goal", "mean error (95% interval)", levels=levels,
-    )  # fmt: skip
+    ylabel = "mean error (95% interval)"
+    drawn = [Panel(title, against_angle(rows), ylabel, levels=levels) for title, rows in panels.items()]
+    return curves(drawn, "angle between start and goal")
 
 
 def write_page(

@@ -19,7 +19,7 @@ from reorient.files import replacing
 from reorient.objects import ObjectSource
 from reorient.pairs import Pair
 from reorient.rendering import Renderer
-from reorient.reporting.curves import Curve, curves
+from reorient.reporting.curves import Curve, Panel, curves
 from reorient.reporting.rows import estimators, numbers, read_table
 from reorient.reproducing.conclusions import conclude
 from reorient.reproducing.conditions import SWEEPS, WORLD, Condition, see
@@ -114,22 +114,19 @@ def findings(folder: Path) -> Sequence[Finding]:
 
 
 def draw(setting: Setting, folder: Path) -> list[Path]:
-    """One figure a sweep: share within 5 degrees and median; and a page of conclusions."""
+    """One figure a sweep, share within 5 degrees beside the median; and a page of conclusions."""
     sweeps = _rows(folder)
     figures = {}
     for sweep, levels in sweeps.items():
         xlabel = SWEEPS[sweep][0]
-        shares, medians = (
-            {name: _curve(levels, name, which) for name in estimators(next(iter(levels.values())))}
-            for which in ("within", "median")
-        )
-        figures[sweep.capitalize()] = (
-            curves({"within 5°": shares}, xlabel, "share of pairs (95% interval)", unit="%", logarithmic=False),
-            "Share of pairs within 5 degrees.",
-        )
-        figures[f"{sweep.capitalize()} median"] = (
-            curves({"median": medians}, xlabel, "median error (95% interval)"), "Median of the plain error.",
-        )  # fmt: skip
+        names = estimators(next(iter(levels.values())))
+        shares, medians = ({name: _curve(levels, name, which) for name in names} for which in ("within", "median"))
+        panels = [
+            Panel("within 5°", shares, "share of pairs (95% interval)", "%", logarithmic=False),
+            Panel("median", medians, "error (95% interval)"),
+        ]
+        caption = "Plain errors; bootstrap intervals, objects drawn as a whole."
+        figures[sweep.capitalize()] = curves(panels, xlabel), caption
     said = conclude(sweeps, {sweep: words for sweep, (words, _) in SWEEPS.items()})
     text = folder / "conclusions.md"
     with replacing(text) as temporary:
