@@ -26,7 +26,8 @@ def tiny(tmp_path, monkeypatch):
     (tmp_path / "lists").mkdir()
     names = generated(110, 2021).names[:8]
     (tmp_path / "lists" / "non-symmetric.txt").write_text("".join(f"{name}\n" for name in names))
-    return [x for key in ("data", "out", "lists") for x in (f"--{key}", str(tmp_path / key))]
+    folders = [x for key in ("data", "out", "lists") for x in (f"--{key}", str(tmp_path / key))]
+    return [*folders, "--workers", "1"]
 
 
 def test_non_symmetric(tiny, tmp_path, capsys):

@@ -1,11 +1,10 @@
 """Estimators by name."""
 
-import importlib
-import sys
 from pathlib import Path
 
 from reorient.errors import ReorientError, unknown_name
 from reorient.estimators.base import Estimator
+from reorient.plugins import make_own
 
 NAMES = ("default", "fast", "thorough", "gicp", "icp", "paper", "swift")
 
@@ -48,15 +47,7 @@ def load_estimator(name: str = "default") -> Estimator:
 
 
 def _own(name: str) -> Estimator:
-    module_name, _, attribute = name.partition(":")
-    if str(Path.cwd()) not in sys.path:
-        sys.path.insert(0, str(Path.cwd()))
-    try:
-        estimator = getattr(importlib.import_module(module_name), attribute)()
-    except Exception as error:  # the user's code may raise anything
-        raise ReorientError(
-            f"cannot make estimator {name!r} ({type(error).__name__}: {error}): expected an importable class"
-        ) from error
+    estimator = make_own("estimator", name)
     if not isinstance(estimator, Estimator):
         raise ReorientError(f"estimator {name!r} has no estimate: expected a class with that method")
     return estimator

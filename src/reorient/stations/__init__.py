@@ -1,10 +1,9 @@
 """Stations: a camera and a gripper, behind one interface."""
 
-import importlib
-import sys
-from pathlib import Path
+from typing import cast
 
 from reorient.errors import ReorientError
+from reorient.plugins import make_own
 from reorient.stations.base import Station
 
 
@@ -16,16 +15,9 @@ def load_station(name: str) -> Station:
     module_name, _, attribute = name.partition(":")
     if not module_name or not attribute:
         raise ReorientError(f"station {name!r}: expected 'rendered' or my_module:MyStation")
-    if str(Path.cwd()) not in sys.path:
-        sys.path.insert(0, str(Path.cwd()))
-    try:
-        station = getattr(importlib.import_module(module_name), attribute)()
-    except Exception as error:  # the user's code may raise anything
-        raise ReorientError(
-            f"cannot make station {name!r} ({type(error).__name__}: {error}): expected an importable class"
-        ) from error
+    station = make_own("station", name)
     if missing := [member for member in ("capture", "rotate", "pivot_m") if not hasattr(station, member)]:
         raise ReorientError(
             f"station {name!r} has no {', '.join(missing)}: expected capture(), rotate(R_step), pivot_m"
         )
-    return station
+    return cast(Station, station)
