@@ -1,0 +1,108 @@
+"""Global registration by others, on the same pairs as ``reorient evaluate`` draws: rows as its own, a table on screen.
+
+    pip install 'reorient[peers]'
+    python benchmarks/peers.py out/peers --count 100 --pairs 60
+    python benchmarks/peers.py results/peers --meshes FOLDER --only results/household-reporting.txt
+
+All are given the points of the two images and nothing else: none has a use for a pivot. ``gicp120`` is GICP from 120
+rotations. Their settings are the best of ``--tuning``, which measures every variant that was tried, on other objects.
+A peer that does not import here (open3d needs the system's libusb and libGL) is named below the table, and left out.
+"""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import tyro
+from registration import Fast, Features, Kiss, Peer, Ransac, Starts, optional
+from rich.console import Console
+
+from reorient.cli.progress import show_progress
+from reorient.errors import ReorientError
+from reorient.evaluation import Evaluation, evaluate
+from reorient.reporting import print_tables, read_rows
+
+PEERS = {
+    "gicp120": Peer(Starts(), coarse=True),
+    "kiss-matcher": Peer(Kiss()),
+    "fpfh-ransac": Peer(Ransac()),
+    "fgr": Peer(Fast()),
+}
+NEEDS = {"kiss-matcher": "kiss_matcher", "fpfh-ransac": "open3d", "fgr": "open3d"}
+TUNING = {
+    f"{name} {said}": peer
+    for name, peers in {
+        "gicp120": {
+            "inliers": Peer(Starts(), "inliers", coarse=True),
+            "behind 0": Peer(Starts(behind=0.0), coarse=True),
+            "behind 0.12": Peer(Starts(), coarse=True),
+            "behind 0.12, no coarse": Peer(Starts()),
+        },
+        "kiss-matcher": {
+            f"voxel {voxel:g}, radii {normal:g} {feature:g}, noise {noise:g}": Peer(Kiss(voxel, normal, feature, noise))
+            for voxel in (0.02, 0.03, 0.04, 0.06)
+            for normal, feature in ((3.0, 5.0), (4.0, 7.0))
+            for noise in (0.5, 1.0)
+        },
+        "fpfh-ransac": {
+            f"voxel {voxel:g}, radius {feature:g}, {'mutual' if mutual else 'all'}": Peer(
+                Ransac(Features(voxel, 2.0, feature), 1.5, mutual)
+            )
+            for voxel in (0.02, 0.03, 0.04)
+            for feature in (5.0, 8.0)
+            for mutual in (True, False)
+        },
+        "fgr": {
+            f"voxel {voxel:g}, radius {feature:g}, distance {distance:g}": Peer(
+                Fast(Features(voxel, 2.0, feature), distance)
+            )
+            for voxel in (0.02, 0.03, 0.04)
+            for feature in (5.0, 8.0)
+            for distance in (0.5, 1.5)
+        },
+    }.items()
+    for said, peer in peers.items()
+}
+
+
+@dataclass(frozen=True)
+class Peers:
+    """What to run."""
+
+    out: tyro.conf.Positional[Path]
+    """Folder for config.json and rows.csv.gz."""
+    config: Evaluation = field(
+        default_factory=lambda: Evaluation(
+            estimators=("kiss-matcher", "fpfh-ransac", "fgr", "gicp", "icp"),
+            ranges_deg=((0, 30), (30, 60), (60, 90), (90, 180)),
+            noise_mm=(1.0,),
+        )
+    )
+    tuning: bool = False
+    """Instead of the named estimators, all variants of those among them that are peers."""
+    workers: int = 1
+
+
+def main(config: Peers) -> None:
+    """Measure those that can be, then print the tables."""
+    missing: dict[str, str] = {}
+    for name in config.config.estimators:
+        if name in NEEDS:
+            try:
+                optional(NEEDS[name])
+            except ReorientError as error:
+                missing[name] = str(error)
+    names = [name for name in config.config.estimators if name not in missing]
+    own = PEERS
+    if config.tuning:
+        own = {name: peer for name, peer in TUNING.items() if name.split()[0] in names}
+        names = list(own)
+    own = {name: own[name] for name in names if name in own}
+    asked = replace(config.config, estimators=tuple(names))
+    show_progress("pairs", evaluate(asked, config.out, config.workers, own))
+    print_tables(read_rows(config.out), Console(width=140))
+    for name, why in missing.items():
+        print(f"{name}: not installable here: {why}")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Peers, description=__doc__, config=(tyro.conf.OmitArgPrefixes,)))
