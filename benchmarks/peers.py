@@ -28,40 +28,38 @@ PEERS = {
     "fgr": Peer(Fast()),
 }
 NEEDS = {"kiss-matcher": "kiss_matcher", "fpfh-ransac": "open3d", "fgr": "open3d"}
-TUNING = {
-    f"{name} {said}": peer
-    for name, peers in {
-        "gicp120": {
-            "inliers": Peer(Starts(), "inliers", coarse=True),
-            "behind 0": Peer(Starts(behind=0.0), coarse=True),
-            "behind 0.12": Peer(Starts(), coarse=True),
-            "behind 0.12, no coarse": Peer(Starts()),
-        },
-        "kiss-matcher": {
-            f"voxel {voxel:g}, radii {normal:g} {feature:g}, noise {noise:g}": Peer(Kiss(voxel, normal, feature, noise))
-            for voxel in (0.02, 0.03, 0.04, 0.06)
-            for normal, feature in ((3.0, 5.0), (4.0, 7.0))
-            for noise in (0.5, 1.0)
-        },
-        "fpfh-ransac": {
-            f"voxel {voxel:g}, radius {feature:g}, {'mutual' if mutual else 'all'}": Peer(
-                Ransac(Features(voxel, 2.0, feature), 1.5, mutual)
-            )
-            for voxel in (0.02, 0.03, 0.04)
-            for feature in (5.0, 8.0)
-            for mutual in (True, False)
-        },
-        "fgr": {
-            f"voxel {voxel:g}, radius {feature:g}, distance {distance:g}": Peer(
-                Fast(Features(voxel, 2.0, feature), distance)
-            )
-            for voxel in (0.02, 0.03, 0.04)
-            for feature in (5.0, 8.0)
-            for distance in (0.5, 1.5)
-        },
-    }.items()
-    for said, peer in peers.items()
-}
+TUNING = (
+    {
+        "gicp120, best by agreement": Peer(Starts(), coarse=True),
+        "gicp120, best by inliers": Peer(Starts(), "inliers", coarse=True),
+        "gicp120, middles on each other": Peer(Starts(behind=0.0), coarse=True),
+        "gicp120, not coarse first": Peer(Starts()),
+    }
+    | {
+        f"kiss-matcher, voxel {voxel:g}, radii {normal:g} {feature:g}, noise {noise:g}": Peer(
+            Kiss(voxel, normal, feature, noise)
+        )
+        for voxel in (0.015, 0.02, 0.03, 0.04, 0.06)
+        for normal, feature in ((3.0, 5.0), (4.0, 7.0))
+        for noise in (0.5, 1.0, 2.0)
+    }
+    | {
+        f"fpfh-ransac, voxel {voxel:g}, radius {feature:g}, inliers {distance:g}{', mutual' if mutual else ''}": Peer(
+            Ransac(Features(voxel, 2.0, feature), distance, mutual)
+        )
+        for voxel in (0.02, 0.03, 0.04)
+        for feature in (5.0, 8.0)
+        for distance in (1.0, 1.5)
+        for mutual in (True, False)
+    }
+    | {
+        f"fgr, voxel {voxel:g}, radius {feature:g}, alike {alike:g}": Peer(Fast(Features(voxel, 2.0, feature), alike))
+        for voxel in (0.02, 0.03, 0.04)
+        for feature in (5.0, 8.0)
+        for alike in (0.7, 0.8, 0.9, 0.95)
+    }
+)
+"""All that was tried, by name."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +92,7 @@ def main(config: Peers) -> None:
     names = [name for name in config.config.estimators if name not in missing]
     own = PEERS
     if config.tuning:
-        own = {name: peer for name, peer in TUNING.items() if name.split()[0] in names}
+        own = {name: peer for name, peer in TUNING.items() if name.split(",")[0] in names}
         names = list(own)
     own = {name: own[name] for name in names if name in own}
     asked = replace(config.config, estimators=tuple(names))

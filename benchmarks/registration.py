@@ -71,7 +71,7 @@ class Starts:
 class Kiss:
     """KISS-Matcher (Lim et al., ICRA 2025): FasterPFH, pruning by a graph, graduated non-convexity."""
 
-    voxel: float = 0.04
+    voxel: float = 0.02
     """In sizes, as all lengths here."""
     normal_gain: float = 3.0
     """Radius of the normals, in voxels."""
@@ -107,7 +107,7 @@ class Features:
     voxel: float = 0.03
     normal_gain: float = 2.0
     """Radius of the normals, in voxels."""
-    feature_gain: float = 5.0
+    feature_gain: float = 8.0
     """Radius of the features, in voxels."""
 
     def of(self, points: Points, size: float) -> tuple[Any, Any]:
@@ -127,9 +127,9 @@ class Ransac:
     """open3d's RANSAC on FPFH correspondences."""
 
     features: Features = field(default_factory=Features)
-    distance_gain: float = 1.5
+    distance_gain: float = 1.0
     """Largest distance of an inlier, in voxels."""
-    mutual: bool = True
+    mutual: bool = False
     """Only pairs that are each other's nearest."""
     iterations: int = 100_000
 
@@ -161,10 +161,9 @@ class Ransac:
 class Fast:
     """Fast Global Registration (Zhou et al., ECCV 2016) on FPFH correspondences, by open3d."""
 
-    features: Features = field(default_factory=Features)
-    distance_gain: float = 0.5
-    """Largest distance of a correspondence, in voxels."""
-    iterations: int = 64
+    features: Features = field(default_factory=lambda: Features(0.02, feature_gain=5.0))
+    alike: float = 0.9
+    """How nearly a triple of correspondences must have sides of the same lengths in both clouds."""
 
     def __call__(self, current: Points, goal: Points, size: float) -> Motions:
         """One motion; the same for the same points."""
@@ -176,10 +175,7 @@ class Fast:
             target,
             of_source,
             of_target,
-            registration.FastGlobalRegistrationOption(
-                maximum_correspondence_distance=self.distance_gain * self.features.voxel * size,
-                iteration_number=self.iterations,
-            ),
+            registration.FastGlobalRegistrationOption(tuple_scale=self.alike),
         )
         return np.asarray(found.transformation)[None].copy()
 

@@ -1,38 +1,76 @@
-"""Each stage of the default estimator left out: share within 5 degrees of the answer, and of the best hypothesis.
+"""What each part of the default estimator is worth: stages left out, fewer hypotheses, the judge beside other choices.
 
-    python benchmarks/stages.py out/stages.csv.gz --meshes FOLDER --only NAMES --pairs 40
+    python benchmarks/stages.py out/stages-household --meshes FOLDER --only results/household-reporting.txt --pivot
+    python benchmarks/stages.py out/stages-generated --count 400 --object-seed 100 --pivot --also out/stages-household
 
-One row a pair, range and variant. "Chosen" is the answer before polishing: by the judge, or by the hand-made score.
-Time is of the process (CPU), so that other work on the machine does not count.
+Rows as of ``reorient evaluate``, on its pairs, each variant an "estimator" (an interrupted run goes on where it
+stopped); then a Markdown table. "judge" is the likeliest hypothesis of the normal effort before it is polished, "score"
+the one of the best hand-made score, "oracle" the one nearest the truth; "default" is the whole estimator, polished.
+"of 4": only the 4 hypotheses of the best score were kept. All variants meet the same pairs, so beside Wilson's interval
+stands the paired difference from "judge", with a bootstrap interval over objects (pairs of one object are not
+independent) and McNemar's exact test.
 """
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tyro
-from rich.progress import track
+from jaxtyping import Bool, Float
+from scipy.stats import binomtest
 
-from reorient import so3
+from reorient import load_estimator
+from reorient.cli.progress import show_progress
 from reorient.estimators.default import pose
 from reorient.estimators.judge import features, load_judge
+from reorient.estimators.refine import Hypotheses, Problem
 from reorient.estimators.search import EFFORTS, Effort, search
-from reorient.files import make_folder, write_table
-from reorient.objects import ObjectSource
-from reorient.pairs import sample_pair
-from reorient.rendering import Renderer, load_world
-from reorient.sensing import randomised
+from reorient.evaluation import Evaluation, Row, answer_cells, measure_pairs
+from reorient.pairs import Pair
+from reorient.reporting.rows import estimators, numbers, read_rows, wilson
+from reorient.symmetry import SymmetryGroup, symmetric_error
 
 NORMAL = EFFORTS["normal"]
-VARIANTS: dict[str, Effort] = {
-    "fast": EFFORTS["fast"],
-    "normal": NORMAL,
-    "without scattering": replace(NORMAL, stages=tuple(replace(stage, copies=0) for stage in NORMAL.stages)),
-    "12 modes": replace(NORMAL, modes=12),
-    "one stage": replace(NORMAL, stages=NORMAL.stages[:1]),
-}
-RANGES_DEG = ((30, 60), (60, 90), (90, 180))
+REFERENCE = "judge"
+SCORED = 0.015, 1000  # tolerance (in sizes) and points of the hand-made score
+RESAMPLES = 4000
+
+
+@dataclass(frozen=True)
+class Variant:
+    """How hypotheses are made, how many are kept, and who chooses."""
+
+    choose: str = "judge"
+    keep: int | None = None
+    """So many of the best score; None: all."""
+    effort: Effort = NORMAL
+
+
+def _left_out() -> dict[str, Effort]:
+    unscattered = tuple(replace(stage, copies=0) for stage in NORMAL.stages)
+    efforts = {
+        "no scattering": replace(NORMAL, stages=unscattered),
+        "a quarter of the modes": replace(NORMAL, modes=NORMAL.modes // 4),
+    }
+    for index, said in ((0, "first"), (-1, "last")):
+        kept = list(NORMAL.stages)
+        del kept[index]
+        efforts[f"no {said} stage"] = replace(NORMAL, stages=tuple(kept))
+    return efforts
+
+
+VARIANTS = (
+    {name: Variant(name) for name in ("judge", "score", "oracle")}
+    | {f"{name} of {keep}": Variant(name, keep) for keep in (2, 4, 8) for name in ("judge", "oracle")}
+    | {
+        f"{said}, {name}": Variant(name, None, effort)
+        for said, effort in _left_out().items()
+        for name in ("judge", "oracle")
+    }
+)
 
 
 @dataclass(frozen=True)
@@ -40,62 +78,130 @@ class Stages:
     """What to run."""
 
     out: tyro.conf.Positional[Path]
-    """CSV.gz to write."""
-    source: tyro.conf.OmitArgPrefixes[ObjectSource] = field(default_factory=ObjectSource)
-    pairs: int = 40
-    """Of each range, spread over the objects."""
-    noise_mm: float = 1.0
-    pivot: bool = True
+    """Folder for config.json and rows.csv.gz."""
+    config: Evaluation = field(
+        default_factory=lambda: Evaluation(
+            estimators=("default", *VARIANTS),
+            ranges_deg=((0, 30), (30, 60), (60, 90), (90, 180)),
+            noise_mm=(1.0,),
+        )
+    )
+    workers: int = 1
+    also: tuple[Path, ...] = ()
+    """Folders of other runs whose rows count in the table, too."""
+
+
+def ablate(
+    config: Evaluation, pair: Pair, group: SymmetryGroup, pivot_m: Float[np.ndarray, "3"] | None
+) -> list[dict[str, Any]]:
+    """What each variant answers; a set of hypotheses serves all variants that share it."""
+    sets: dict[Effort, tuple[Problem, Hypotheses, float]] = {}
+    measured = []
+    for name in config.estimators:
+        if name not in VARIANTS:
+            begin = time.process_time()
+            R = load_estimator(name).estimate(pair.current, pair.goal, pivot_m).R_goal_current
+            seconds = time.process_time() - begin
+        else:
+            variant = VARIANTS[name]
+            if variant.effort not in sets:
+                begin = time.process_time()
+                problem = pose(pair.current, pair.goal, pivot_m)
+                hypotheses = search(problem, variant.effort)
+                hypotheses = hypotheses[np.argsort(-problem.score(hypotheses, *SCORED), kind="stable")]
+                sets[variant.effort] = problem, hypotheses, time.process_time() - begin
+            problem, hypotheses, seconds = sets[variant.effort]
+            begin = time.process_time()
+            R = _chosen(variant, problem, hypotheses[np.arange(len(hypotheses))[: variant.keep]], pair, group)
+            seconds += time.process_time() - begin
+        measured.append(answer_cells(R, pair, group) | {"seconds": f"{seconds:.5f}"})
+    return measured
+
+
+def _chosen(
+    variant: Variant, problem: Problem, hypotheses: Hypotheses, pair: Pair, group: SymmetryGroup
+) -> Float[np.ndarray, "3 3"]:
+    """One of the hypotheses, which come in the order of their score."""
+    if variant.choose == "judge":
+        best = np.argmax(load_judge().log_odds(features(problem, problem.looks[0], hypotheses)))
+    elif variant.choose == "oracle":
+        best = np.argmin([symmetric_error(group, R, pair.R_goal_current, pair.R_camera_object) for R in hypotheses.R])
+    else:
+        best = np.intp(0)
+    return hypotheses.R[best]
+
+
+def markdown(rows: Sequence[Row]) -> str:
+    """The table: for each range and all together, every variant against the reference."""
+    right = numbers(rows, "error_sym_deg") < 5
+    low_deg, milliseconds = numbers(rows, "low_deg"), 1000 * numbers(rows, "seconds")
+    name, thing = (np.array([row[column] for row in rows]) for column in ("estimator", "object"))
+    spans = {f"{row['low_deg']}–{row['high_deg']}°": float(row["low_deg"]) for row in rows}
+    head = (
+        "range",
+        "variant",
+        "pairs",
+        "< 5° sym. (95%)",
+        f"less {REFERENCE}, points (95%)",
+        "only it / only judge",
+        "p",
+        "ms",
+    )
+    lines = [head, ["---"] * 2 + ["---:"] * (len(head) - 2)]
+    for span, low in (*sorted(spans.items(), key=lambda x: x[1]), ("all", None)):
+        cell = np.ones(len(rows), bool) if low is None else low_deg == low
+        reference = right[cell & (name == REFERENCE)]
+        for variant in estimators(rows):
+            mine = cell & (name == variant)
+            hits, n = int(right[mine].sum()), int(mine.sum())
+            less, more = wilson(hits, n)
+            line = [span, variant, str(n), f"{hits / n:.1%} ({100 * less:.1f}–{100 * more:.1f})"]
+            if variant != REFERENCE:
+                only, other = int((right[mine] & ~reference).sum()), int((reference & ~right[mine]).sum())
+                low_end, high_end = _bootstrapped(right[mine].astype(float) - reference, thing[mine])
+                p = binomtest(only, only + other).pvalue if only + other else 1.0
+                line += [
+                    f"{100 * (only - other) / n:+.1f} ({low_end:+.1f} to {high_end:+.1f})",
+                    f"{only} / {other}",
+                    f"{p:.2g}",
+                ]
+            else:
+                line += ["", "", ""]
+            lines.append([*line, f"{np.median(milliseconds[mine]):.0f}"])
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _bootstrapped(difference: Float[np.ndarray, " n"], thing: np.ndarray) -> tuple[float, float]:
+    """95% interval of the mean in percent points, by drawing objects with all of their pairs."""
+    names, place = np.unique(thing, return_inverse=True)
+    total, count = np.bincount(place, difference), np.bincount(place)
+    drawn = np.random.default_rng(0).integers(len(names), size=(RESAMPLES, len(names)))
+    low, high = np.percentile(100 * total[drawn].sum(axis=1) / count[drawn].sum(axis=1), [2.5, 97.5])
+    return float(low), float(high)
+
+
+def verdict(right: dict[str, Bool[np.ndarray, " n"]]) -> str:
+    """Whether Wilson's intervals of the judge and the hand-made score are apart."""
+    (low, high), (other_low, other_high) = (
+        wilson(int(right[name].sum()), len(right[name])) for name in ("judge", "score")
+    )
+    apart = low > other_high or high < other_low
+    return (
+        f"judge {low:.1%} to {high:.1%}, hand-made score {other_low:.1%} to {other_high:.1%}: "
+        f"the intervals {'do not ' if apart else ''}overlap"
+    )
 
 
 def main(config: Stages) -> None:
-    """All pairs, then the summary."""
-    make_folder(config.out.parent)
-    objects, world, judge = config.source.open(), load_world("benchmark"), load_judge()
-    rows = []
-    for index in track(range(config.pairs), "pairs"):
-        name = objects.names[index % len(objects.names)]
-        renderer = Renderer(objects.load(name))
-        for low, high in RANGES_DEG:
-            rng = np.random.default_rng([7, index, low])
-            pair = sample_pair(
-                rng, renderer, world, randomised(config.noise_mm / 1000), np.radians(low), np.radians(high)
-            )
-            for variant, effort in VARIANTS.items():
-                begin = time.process_time()
-                problem = pose(pair.current, pair.goal, pair.pivot_m if config.pivot else None)
-                hypotheses = search(problem, effort)
-                score = problem.score(hypotheses, 0.015, 1000)
-                odds = judge.log_odds(features(problem, problem.looks[0], hypotheses))
-                seconds = time.process_time() - begin
-                error = np.degrees(so3.angle_difference(hypotheses.R, pair.R_goal_current))
-                rows.append(
-                    {
-                        "object": name,
-                        "pair": index,
-                        "low_deg": low,
-                        "variant": variant,
-                        "best_deg": f"{error.min():.4f}",
-                        "judge_deg": f"{error[np.argmax(odds)]:.4f}",
-                        "score_deg": f"{error[np.argmax(score)]:.4f}",
-                        "seconds": f"{seconds:.4f}",
-                    }
-                )
-    write_table(config.out, rows)
-    for variant in VARIANTS:
-        print(variant)
-        for low, high in RANGES_DEG:
-            chosen = [row for row in rows if row["variant"] == variant and row["low_deg"] == low]
-            share = {
-                key: np.mean([float(str(row[key])) < 5 for row in chosen])
-                for key in ("best_deg", "judge_deg", "score_deg")
-            }
-            ms = 1000 * np.median([float(str(row["seconds"])) for row in chosen])
-            print(
-                f"  {low}-{high}: best of the set {share['best_deg']:.1%}, judge {share['judge_deg']:.1%}, "
-                f"hand-made {share['score_deg']:.1%}, {ms:.0f} ms"
-            )
+    """Measure, then print the table."""
+    show_progress("pairs", measure_pairs(config.config, config.out, ablate, config.workers, str(VARIANTS)))
+    rows = [row for folder in (config.out, *config.also) for row in read_rows(folder)]
+    print(markdown(rows))
+    right = numbers(rows, "error_sym_deg") < 5
+    name = np.array([row["estimator"] for row in rows])
+    if {"judge", "score"} <= set(name):
+        print(f"\n{verdict({one: right[name == one] for one in ('judge', 'score')})}")
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Stages, description=__doc__))
+    main(tyro.cli(Stages, description=__doc__, config=(tyro.conf.OmitArgPrefixes,)))
