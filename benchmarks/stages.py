@@ -24,6 +24,7 @@ from scipy.stats import binomtest
 
 from reorient import load_estimator
 from reorient.cli.progress import show_progress
+from reorient.errors import ReorientError
 from reorient.estimators.default import pose
 from reorient.estimators.judge import features, load_judge
 from reorient.estimators.refine import Hypotheses, Problem
@@ -55,10 +56,9 @@ def _left_out() -> dict[str, Effort]:
         "no scattering": replace(NORMAL, stages=unscattered),
         "a quarter of the modes": replace(NORMAL, modes=NORMAL.modes // 4),
     }
-    for index, said in ((0, "first"), (-1, "last")):
-        kept = list(NORMAL.stages)
-        del kept[index]
-        efforts[f"no {said} stage"] = replace(NORMAL, stages=tuple(kept))
+    for index in range(len(NORMAL.stages)):
+        kept = NORMAL.stages[:index] + NORMAL.stages[index + 1 :]
+        efforts[f"no stage {index + 1}"] = replace(NORMAL, stages=kept)
     return efforts
 
 
@@ -131,44 +131,43 @@ def _chosen(
     return hypotheses.R[best]
 
 
+HEAD = (
+    *("range", "variant", "pairs", "< 5° sym. (95%)", f"less {REFERENCE}, points (95%)"),
+    *(f"only it / only {REFERENCE}", "p", "ms"),
+)
+
+
 def markdown(rows: Sequence[Row]) -> str:
-    """The table: for each range and all together, every variant against the reference."""
+    """The table: for each range and for all together, every variant; noise levels count together."""
     right = numbers(rows, "error_sym_deg") < 5
     low_deg, milliseconds = numbers(rows, "low_deg"), 1000 * numbers(rows, "seconds")
     name, thing = (np.array([row[column] for row in rows]) for column in ("estimator", "object"))
-    spans = {f"{row['low_deg']}–{row['high_deg']}°": float(row["low_deg"]) for row in rows}
-    head = (
-        "range",
-        "variant",
-        "pairs",
-        "< 5° sym. (95%)",
-        f"less {REFERENCE}, points (95%)",
-        "only it / only judge",
-        "p",
-        "ms",
-    )
-    lines = [head, ["---"] * 2 + ["---:"] * (len(head) - 2)]
-    for span, low in (*sorted(spans.items(), key=lambda x: x[1]), ("all", None)):
+    spans: dict[str, float | None] = {
+        f"{float(row['low_deg']):g}–{float(row['high_deg']):g}°": float(row["low_deg"]) for row in rows
+    }
+    lines = [HEAD, ["---"] * 2 + ["---:"] * (len(HEAD) - 2)]
+    for span, low in (spans | {"all": None}).items():
         cell = np.ones(len(rows), bool) if low is None else low_deg == low
         reference = right[cell & (name == REFERENCE)]
         for variant in estimators(rows):
             mine = cell & (name == variant)
-            hits, n = int(right[mine].sum()), int(mine.sum())
-            less, more = wilson(hits, n)
-            line = [span, variant, str(n), f"{hits / n:.1%} ({100 * less:.1f}–{100 * more:.1f})"]
-            if variant != REFERENCE:
-                only, other = int((right[mine] & ~reference).sum()), int((reference & ~right[mine]).sum())
-                low_end, high_end = _bootstrapped(right[mine].astype(float) - reference, thing[mine])
-                p = binomtest(only, only + other).pvalue if only + other else 1.0
-                line += [
-                    f"{100 * (only - other) / n:+.1f} ({low_end:+.1f} to {high_end:+.1f})",
-                    f"{only} / {other}",
-                    f"{p:.2g}",
-                ]
-            else:
-                line += ["", "", ""]
-            lines.append([*line, f"{np.median(milliseconds[mine]):.0f}"])
+            compared = ["", "", ""] if variant == REFERENCE else _compared(right[mine], reference, thing[mine])
+            ms = f"{np.median(milliseconds[mine]):.0f}"
+            lines.append([span, variant, str(mine.sum()), _share(right[mine]), *compared, ms])
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _share(right: Bool[np.ndarray, " n"]) -> str:
+    low, high = wilson(int(right.sum()), len(right))
+    return f"{right.mean():.1%} ({100 * low:.1f}–{100 * high:.1f})"
+
+
+def _compared(right: Bool[np.ndarray, " n"], reference: Bool[np.ndarray, " n"], thing: np.ndarray) -> list[str]:
+    """The paired difference with its interval, the pairs that only one gets right, and McNemar's p."""
+    only, other = int((right & ~reference).sum()), int((reference & ~right).sum())
+    low, high = _bootstrapped(right.astype(float) - reference, thing)
+    p = binomtest(only, only + other).pvalue if only + other else 1.0
+    return [f"{100 * (only - other) / len(right):+.1f} ({low:+.1f} to {high:+.1f})", f"{only} / {other}", f"{p:.2g}"]
 
 
 def _bootstrapped(difference: Float[np.ndarray, " n"], thing: np.ndarray) -> tuple[float, float]:
@@ -180,27 +179,31 @@ def _bootstrapped(difference: Float[np.ndarray, " n"], thing: np.ndarray) -> tup
     return float(low), float(high)
 
 
-def verdict(right: dict[str, Bool[np.ndarray, " n"]]) -> str:
-    """Whether Wilson's intervals of the judge and the hand-made score are apart."""
-    (low, high), (other_low, other_high) = (
-        wilson(int(right[name].sum()), len(right[name])) for name in ("judge", "score")
-    )
-    apart = low > other_high or high < other_low
+def verdict(rows: Sequence[Row]) -> str:
+    """Whether Wilson's intervals of the judge and the hand-made score are apart, all ranges together."""
+    intervals = []
+    for name in ("judge", "score"):
+        right = numbers([row for row in rows if row["estimator"] == name], "error_sym_deg") < 5
+        intervals.append(wilson(int(right.sum()), len(right)))
+    (low, high), (other_low, other_high) = intervals
     return (
         f"judge {low:.1%} to {high:.1%}, hand-made score {other_low:.1%} to {other_high:.1%}: "
-        f"the intervals {'do not ' if apart else ''}overlap"
+        f"the intervals {'overlap' if low <= other_high and other_low <= high else 'are apart'}"
     )
 
 
 def main(config: Stages) -> None:
     """Measure, then print the table."""
     show_progress("pairs", measure_pairs(config.config, config.out, ablate, config.workers, str(VARIANTS)))
-    rows = [row for folder in (config.out, *config.also) for row in read_rows(folder)]
+    rows: list[Row] = []
+    for folder in (config.out, *config.also):
+        more = read_rows(folder)
+        if set(estimators(more)) != set(config.config.estimators):
+            raise ReorientError(f"{str(folder)!r} has other variants: expected {', '.join(config.config.estimators)}")
+        rows += more
     print(markdown(rows))
-    right = numbers(rows, "error_sym_deg") < 5
-    name = np.array([row["estimator"] for row in rows])
-    if {"judge", "score"} <= set(name):
-        print(f"\n{verdict({one: right[name == one] for one in ('judge', 'score')})}")
+    if {"judge", "score"} <= set(config.config.estimators):
+        print(f"\n{verdict(rows)}")
 
 
 if __name__ == "__main__":
