@@ -27,7 +27,7 @@ class Proposal(Protocol):
     """Motions that may take one cloud to the other."""
 
     def __call__(self, current: Points, goal: Points, size: float) -> Motions:
-        """From the points of the two images, metres, camera axes. Raises ReorientError where it finds none."""
+        """From the points of the two images, metres, camera axes; ``size`` is the length that counts as one."""
         ...
 
 
@@ -202,6 +202,8 @@ class Peer:
         source, target = current.points(), goal.points()
         size = max(size_m(source), size_m(target))
         motions = self.propose(source, target, size)
+        if not np.all(np.isfinite(motions)):
+            raise ReorientError("the proposal is no motion: expected finite numbers (too few correspondences?)")
         for stage in (COARSE, MIDDLE) if self.coarse else (MIDDLE,):
             motions, inliers = aligned(source, target, motions, stage, size)
         views = View(current), View(goal)

@@ -77,7 +77,7 @@ def figure(rows: Sequence[Row]) -> Figure:
     """Reliability (left) and risk against coverage (right) of each estimator, of rows that have a confidence."""
     colours = colours_of(estimators(rows))
     with mpl.rc_context(STYLE):
-        drawn = Figure(figsize=(0.8 * PAGE_INCHES, 3.9))
+        drawn = Figure(figsize=(PAGE_INCHES, 4.2))
         left, right_panel = drawn.subplots(1, 2)
         left.plot([0, 1], [0, 1], color=REFERENCE, ls=":", lw=1.2)
         for name, colour in colours.items():
@@ -91,8 +91,8 @@ def figure(rows: Sequence[Row]) -> Figure:
             coverage = np.arange(1, len(said) + 1) / len(said)
             right_panel.plot(coverage, risk(said, right), color=colour)
             right_panel.plot(coverage, np.maximum(1 - right.mean() / coverage, 0), color=colour, ls=":", lw=1.2)
-        left.set(xlabel="confidence", ylabel="share right", xlim=(0, 1.02), ylim=(0, 1.02), title="reliability")
-        left.legend(title="expected calibration error", loc="upper left")
+        left.set(xlabel="confidence", ylabel="share right", xlim=(-0.02, 1.03), ylim=(-0.02, 1.03), title="reliability")
+        left.legend(title="expected calibration error", loc="lower right")
         right_panel.set(xlabel="coverage: share answered, surest first", ylabel="risk: share of these wrong")
         right_panel.set(xlim=(0, 1), title="risk against coverage")
         right_panel.set_ylim(bottom=0)
