@@ -56,6 +56,8 @@ def test_a_small_ablation(tmp_path, capsys):
     assert [line.split(" | ")[1] for line in said.splitlines() if line.startswith("| 30–60°")] == list(names)
     rows = {row["estimator"]: float(row["error_sym_deg"]) for row in stages.read_rows(tmp_path / "run")}
     assert rows["oracle"] <= min(rows["judge"], rows["score"], rows["oracle of 2"])
+    stages.main(Stages(tmp_path / "run", config, also=(tmp_path / "run",)))
+    assert "| 30–60° | judge | 2 |" in capsys.readouterr().out
     fewer = Evaluation(ObjectSource(count=1), ("judge",), ranges_deg=((30, 60),), noise_mm=(1.0,), pairs=1, pivot=True)
     with pytest.raises(ReorientError, match="has other variants: expected judge"):
         stages.main(Stages(tmp_path / "other", fewer, also=(tmp_path / "run",)))
