@@ -21,11 +21,11 @@ from reorient.reporting.rows import estimators, numbers
 _KNOWN = {"paper": "#cc5a71", "icp": "#8d99ae", "gicp": "#2f6db5", "swift": "#1d9a6c", "default": "#e08e1b"}
 _SPARE = ("#7b5ea7", "#17a2b8", "#a0522d", "#e377c2", "#6b7f1f", "#444b59")
 _TRUE, _PREDICTED = "#4a90d9", "#e08e1b"
-_DASHES = (0, (3, 2))
-_REFERENCE = "#7a808c"
+DASHES = (0, (3, 2))
+REFERENCE = "#7a808c"
 _FEWEST = 5  # rows of a bin whose quartiles are worth drawing
-_PAGE_INCHES = 10.6
-_STYLE: Any = {  # matplotlib types the keys as literals, which no plain dict satisfies
+PAGE_INCHES = 10.6
+STYLE: Any = {  # matplotlib types the keys as literals, which no plain dict satisfies
     "font.size": 9.0,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -53,13 +53,13 @@ def error_by_angle(rows: Sequence[Row]) -> str:
     """Median error (line) and quartiles (band) in bins of the start angle, a panel for each noise: an SVG data URI."""
     angle_deg, error_deg, noise_mm = (numbers(rows, column) for column in ("angle_deg", "error_deg", "noise_mm"))
     names = np.array([row["estimator"] for row in rows])
-    colours = _colours(estimators(rows))
+    colours = colours_of(estimators(rows))
     levels = np.unique(noise_mm)
     low, high = numbers(rows, "low_deg").min(), numbers(rows, "high_deg").max()
     bins = int(np.clip(len(rows) / len(levels) / len(colours) / 15, 3, 18))
     edges = np.linspace(low, high, bins + 1)
     which = np.clip(np.searchsorted(edges, angle_deg, side="right") - 1, 0, bins - 1)
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(_width_inches(len(levels)), 3.3))
         panels = figure.subplots(1, len(levels), squeeze=False, sharey=True)[0]
         for axes, level in zip(panels, levels, strict=True):
@@ -80,23 +80,23 @@ def error_by_angle(rows: Sequence[Row]) -> str:
         # last, because a limit set on shared axes ends their autoscaling
         panels[0].set_ylim(bottom=max(panels[0].get_ylim()[0], _least_deg(error_deg)))
         panels[0].set_ylabel("error (median, quartiles)")
-        _legend(figure, colours)
-        return _svg(figure)
+        legend(figure, colours)
+        return svg(figure)
 
 
 def cumulative_errors(rows: Sequence[Row]) -> str:
     """The share of pairs with an error below x, symmetry-aware dashed; panels: range by noise. An SVG data URI."""
     plain_deg, aware_deg = numbers(rows, "error_deg"), numbers(rows, "error_sym_deg")
-    colours = _colours(estimators(rows))
-    with mpl.rc_context(_STYLE):
+    colours = colours_of(estimators(rows))
+    with mpl.rc_context(STYLE):
         figure, panels = _cells(rows, _least_deg(plain_deg), "share of pairs below")
         for axes, members in panels:
             axes.set_ylim(0, 1.01)
             for name, mine in members.items():
                 _cumulate(axes, plain_deg[mine], color=colours[name])
-                _cumulate(axes, aware_deg[mine], color=colours[name], linestyle=_DASHES, linewidth=1.1)
-        _legend(figure, colours, [Line2D([], [], color="#5b6270", ls=_DASHES, lw=1.1, label="symmetry-aware")])
-        return _svg(figure)
+                _cumulate(axes, aware_deg[mine], color=colours[name], linestyle=DASHES, linewidth=1.1)
+        legend(figure, colours, [Line2D([], [], color="#5b6270", ls=DASHES, lw=1.1, label="symmetry-aware")])
+        return svg(figure)
 
 
 def error_histograms(rows: Sequence[Row]) -> str:
@@ -105,9 +105,9 @@ def error_histograms(rows: Sequence[Row]) -> str:
     The first bin also holds the smaller errors, so that the bars of an estimator add up to all of its pairs.
     """
     error_deg = numbers(rows, "error_deg")
-    colours = _colours(estimators(rows))
+    colours = colours_of(estimators(rows))
     least_deg = _least_deg(error_deg)
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure, panels = _cells(rows, least_deg, "share of pairs")
         most = max(np.count_nonzero(mine) for _, members in panels for mine in members.values())
         edges = np.geomspace(least_deg, 180, int(np.clip(2 * np.sqrt(most), 8, 24)) + 1)
@@ -118,26 +118,26 @@ def error_histograms(rows: Sequence[Row]) -> str:
                 axes.stairs(share, edges, fill=True, color=colours[name], alpha=0.13, lw=0)
                 axes.stairs(share, edges, color=colours[name], lw=1.4, zorder=3)  # above the grid and every filling
         panels[0][0].set_ylim(bottom=0)
-        _legend(figure, colours)
-        return _svg(figure)
+        legend(figure, colours)
+        return svg(figure)
 
 
 def loop_curve(predicted_deg: Sequence[float], true_deg: Sequence[float]) -> str:
     """Remaining angle at each image of a loop, as predicted and in truth (where known): an SVG data URI."""
-    with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(_PAGE_INCHES, 3.2))
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(PAGE_INCHES, 3.2))
         axes = figure.subplots()
         for line, values in zip(_loop_axes(axes, predicted_deg, true_deg), (predicted_deg, true_deg), strict=True):
             line.set_data(range(len(values)), values)
         axes.legend()
-        return _svg(figure)
+        return svg(figure)
 
 
 def growing_curve(predicted_deg: Sequence[float], true_deg: Sequence[float], size_px: int) -> list[Image.Image]:
     """The same on a dark square, once for each image of the loop, up to that image."""
     dark, ink = (tuple(x / 255 for x in colour) for colour in (BACKGROUND, INK))
     inked = ("axes.edgecolor", "axes.labelcolor", "axes.titlecolor", "xtick.color", "ytick.color", "text.color")
-    style = _STYLE | dict.fromkeys(inked, ink) | dict.fromkeys(("figure.facecolor", "axes.facecolor"), dark)
+    style = STYLE | dict.fromkeys(inked, ink) | dict.fromkeys(("figure.facecolor", "axes.facecolor"), dark)
     with mpl.rc_context(style | {"grid.color": "#353a45"}):
         figure = Figure(figsize=(size_px / 100, size_px / 100), dpi=100)
         canvas = FigureCanvasAgg(figure)
@@ -163,11 +163,11 @@ def error_by_image(panels: Panels, reference_deg: float, reference: str) -> str:
     A loop that has ended keeps its last error. ``reference_deg``: a level to compare with, named in the legend.
     """
     looks = _looks(panels)
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(_width_inches(max(len(panels), 2)), 3.3))
         grid = figure.subplots(1, len(panels), squeeze=False, sharey=True)[0]
         for axes, (title, systems) in zip(grid, panels.items(), strict=True):
-            axes.axhline(reference_deg, color=_REFERENCE, lw=1.2, ls=":", zorder=0)
+            axes.axhline(reference_deg, color=REFERENCE, lw=1.2, ls=":", zorder=0)
             for system, loops in systems.items():
                 last = max(len(errors) for errors in loops)
                 whole = np.array([[*errors, *[errors[-1]] * (last - len(errors))] for errors in loops])
@@ -179,7 +179,7 @@ def error_by_image(panels: Panels, reference_deg: float, reference: str) -> str:
             _plain_decades(axes)
         grid[0].set_ylabel("error (median, quartiles)")
         _legend_of_looks(figure, looks, reference)
-        return _svg(figure)
+        return svg(figure)
 
 
 def errors_by_object(panels: Panels, names: Sequence[str], reference_deg: float, reference: str) -> str:
@@ -188,11 +188,11 @@ def errors_by_object(panels: Panels, names: Sequence[str], reference_deg: float,
     ``panels``: by title and system, for each of the names the last errors.
     """
     looks = _looks(panels)
-    with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(_PAGE_INCHES, 2.9 * len(panels) + 0.6))
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(PAGE_INCHES, 2.9 * len(panels) + 0.6))
         grid = figure.subplots(len(panels), 1, squeeze=False, sharex=True)[:, 0]
         for axes, (title, systems) in zip(grid, panels.items(), strict=True):
-            axes.axhline(reference_deg, color=_REFERENCE, lw=1.2, ls=":", zorder=0)
+            axes.axhline(reference_deg, color=REFERENCE, lw=1.2, ls=":", zorder=0)
             for index, (system, errors) in enumerate(systems.items()):
                 middle = (index + 0.5) / len(systems) * 0.7 - 0.35
                 colour, hollow = looks[system]["color"], "ls" in looks[system]
@@ -206,24 +206,24 @@ def errors_by_object(panels: Panels, names: Sequence[str], reference_deg: float,
             _plain_decades(axes)
         grid[-1].set_xticks(range(len(names)), names)
         _legend_of_looks(figure, looks, reference)
-        return _svg(figure)
+        return svg(figure)
 
 
 def _looks(panels: Panels) -> dict[str, dict[str, Any]]:
     """How each system "estimator/strategy" is drawn: the estimator's colour, dashed from its second strategy on."""
     systems = list(dict.fromkeys(system for panel in panels.values() for system in panel))
-    colours = _colours(dict.fromkeys(system.split("/")[0] for system in systems))
+    colours = colours_of(dict.fromkeys(system.split("/")[0] for system in systems))
     looks: dict[str, dict[str, Any]] = {}
     for system in systems:
         estimator = system.split("/")[0]
         again = any(other.split("/")[0] == estimator for other in looks)
-        looks[system] = {"color": colours[estimator]} | ({"ls": _DASHES} if again else {})
+        looks[system] = {"color": colours[estimator]} | ({"ls": DASHES} if again else {})
     return looks
 
 
 def _legend_of_looks(figure: Figure, looks: dict[str, dict[str, Any]], reference: str) -> None:
     handles = [Line2D([], [], **look, label=system) for system, look in looks.items()]
-    handles.append(Line2D([], [], color=_REFERENCE, lw=1.2, ls=":", label=reference))
+    handles.append(Line2D([], [], color=REFERENCE, lw=1.2, ls=":", label=reference))
     figure.legend(handles=handles, loc="outside upper left", ncols=min(len(handles), 5))
 
 
@@ -254,7 +254,7 @@ def _cells(
 
 
 def _width_inches(columns: int) -> float:
-    return max(_PAGE_INCHES, 3.2 * columns) if columns > 1 else 0.6 * _PAGE_INCHES
+    return max(PAGE_INCHES, 3.2 * columns) if columns > 1 else 0.6 * PAGE_INCHES
 
 
 def _least_deg(error_deg: np.ndarray) -> float:
@@ -276,18 +276,19 @@ def _loop_axes(axes: Axes, predicted_deg: Sequence[float], true_deg: Sequence[fl
     axes.yaxis.set_major_formatter(_degrees())
     axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
     (true,) = axes.plot([], [], color=_TRUE, marker="o", markersize=5, lw=2.8, label="true angle" if true_deg else "_")
-    (predicted,) = axes.plot([], [], color=_PREDICTED, marker="o", markersize=3, lw=1.2, ls=_DASHES, label="predicted")
+    (predicted,) = axes.plot([], [], color=_PREDICTED, marker="o", markersize=3, lw=1.2, ls=DASHES, label="predicted")
     return predicted, true
 
 
-def _colours(names: Iterable[str]) -> dict[str, str]:
+def colours_of(names: Iterable[str]) -> dict[str, str]:
     """A colour for each estimator: always the same for those of the package, by the alphabet for others."""
     names = list(names)
     others = sorted(set(names) - set(_KNOWN))
     return {name: _KNOWN.get(name) or _SPARE[others.index(name) % len(_SPARE)] for name in names}
 
 
-def _legend(figure: Figure, colours: dict[str, str], more: Sequence[Line2D] = ()) -> None:
+def legend(figure: Figure, colours: dict[str, str], more: Sequence[Line2D] = ()) -> None:
+    """The estimators' colours by name, above the panels."""
     handles = [Line2D([], [], color=colour, lw=2.5, label=name) for name, colour in colours.items()] + list(more)
     figure.legend(handles=handles, loc="outside upper left", ncols=min(len(handles), 6))
 
@@ -304,7 +305,8 @@ def _degrees() -> FuncFormatter:
     return FuncFormatter(lambda degrees, _: f"{degrees:g}°")
 
 
-def _svg(figure: Figure) -> str:
+def svg(figure: Figure) -> str:
+    """The figure as an SVG data URI."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="svg", metadata={"Date": None})
     return "data:image/svg+xml;base64," + base64.b64encode(buffer.getvalue()).decode()
