@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo demo-cell test test-train test-cell lint clean
+.PHONY: demo demo-cell test test-train test-cell test-peers lint clean
 
 demo: .venv/base
 	$(BIN)/reorient demo --out out/demo
@@ -18,6 +18,9 @@ demo-cell: .venv/cell
 
 test-cell: .venv/cell
 	$(BIN)/pytest tests/cell
+
+test-peers: .venv/peers
+	$(BIN)/pytest tests/peers
 
 lint: .venv/dev
 	$(BIN)/ruff check .
@@ -39,6 +42,10 @@ lint: .venv/dev
 
 .venv/cell: .venv/dev
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,cell]'
+	touch $@
+
+.venv/peers: .venv/dev
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,peers]'
 	touch $@
 
 clean:

@@ -1,38 +1,76 @@
-"""Each stage of the default estimator left out: share within 5 degrees of the answer, and of the best hypothesis.
+"""What each part of the default estimator is worth: stages left out, fewer hypotheses, the judge beside other choices.
 
-    python benchmarks/stages.py out/stages.csv.gz --meshes FOLDER --only NAMES --pairs 40
+    python benchmarks/stages.py out/stages-household --meshes FOLDER --only results/household-reporting.txt --pivot
+    python benchmarks/stages.py out/stages-generated --count 400 --object-seed 100 --pivot --also out/stages-household
 
-One row a pair, range and variant. "Chosen" is the answer before polishing: by the judge, or by the hand-made score.
-Time is of the process (CPU), so that other work on the machine does not count.
+Rows as of ``reorient evaluate``, on its pairs, each variant an "estimator" (an interrupted run goes on where it
+stopped); then a Markdown table. "judge" is the likeliest hypothesis of the normal effort before it is polished, "score"
+the one of the best hand-made score, "oracle" the one nearest the truth; "default" is the whole estimator, polished.
+"of 4": only the 4 hypotheses of the best score were kept. All variants meet the same pairs, so beside Wilson's interval
+stands the paired difference from "judge", with a bootstrap interval over objects (pairs of one object are not
+independent) and McNemar's exact test.
 """
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tyro
-from rich.progress import track
+from jaxtyping import Bool, Float
+from scipy.stats import binomtest
 
-from reorient import so3
+from reorient import load_estimator
+from reorient.cli.progress import show_progress
+from reorient.errors import ReorientError
 from reorient.estimators.default import pose
 from reorient.estimators.judge import features, load_judge
+from reorient.estimators.refine import Hypotheses, Problem
 from reorient.estimators.search import EFFORTS, Effort, search
-from reorient.files import make_folder, write_table
-from reorient.objects import ObjectSource
-from reorient.pairs import sample_pair
-from reorient.rendering import Renderer, load_world
-from reorient.sensing import randomised
+from reorient.evaluation import Evaluation, Row, answer_cells, measure_pairs
+from reorient.pairs import Pair
+from reorient.reporting.rows import estimators, numbers, read_rows, wilson
+from reorient.symmetry import SymmetryGroup, symmetric_error
 
 NORMAL = EFFORTS["normal"]
-VARIANTS: dict[str, Effort] = {
-    "fast": EFFORTS["fast"],
-    "normal": NORMAL,
-    "without scattering": replace(NORMAL, stages=tuple(replace(stage, copies=0) for stage in NORMAL.stages)),
-    "12 modes": replace(NORMAL, modes=12),
-    "one stage": replace(NORMAL, stages=NORMAL.stages[:1]),
-}
-RANGES_DEG = ((30, 60), (60, 90), (90, 180))
+REFERENCE = "judge"
+SCORED = 0.015, 1000  # tolerance (in sizes) and points of the hand-made score
+RESAMPLES = 4000
+
+
+@dataclass(frozen=True)
+class Variant:
+    """How hypotheses are made, how many are kept, and who chooses."""
+
+    choose: str = "judge"
+    keep: int | None = None
+    """So many of the best score; None: all."""
+    effort: Effort = NORMAL
+
+
+def _left_out() -> dict[str, Effort]:
+    unscattered = tuple(replace(stage, copies=0) for stage in NORMAL.stages)
+    efforts = {
+        "no scattering": replace(NORMAL, stages=unscattered),
+        "a quarter of the modes": replace(NORMAL, modes=NORMAL.modes // 4),
+    }
+    for index in range(len(NORMAL.stages)):
+        kept = NORMAL.stages[:index] + NORMAL.stages[index + 1 :]
+        efforts[f"no stage {index + 1}"] = replace(NORMAL, stages=kept)
+    return efforts
+
+
+VARIANTS = (
+    {name: Variant(name) for name in ("judge", "score", "oracle")}
+    | {f"{name} of {keep}": Variant(name, keep) for keep in (2, 4, 8) for name in ("judge", "oracle")}
+    | {
+        f"{said}, {name}": Variant(name, None, effort)
+        for said, effort in _left_out().items()
+        for name in ("judge", "oracle")
+    }
+)
 
 
 @dataclass(frozen=True)
@@ -40,62 +78,133 @@ class Stages:
     """What to run."""
 
     out: tyro.conf.Positional[Path]
-    """CSV.gz to write."""
-    source: tyro.conf.OmitArgPrefixes[ObjectSource] = field(default_factory=ObjectSource)
-    pairs: int = 40
-    """Of each range, spread over the objects."""
-    noise_mm: float = 1.0
-    pivot: bool = True
+    """Folder for config.json and rows.csv.gz."""
+    config: Evaluation = field(
+        default_factory=lambda: Evaluation(
+            estimators=("default", *VARIANTS),
+            ranges_deg=((0, 30), (30, 60), (60, 90), (90, 180)),
+            noise_mm=(1.0,),
+        )
+    )
+    workers: int = 1
+    also: tuple[Path, ...] = ()
+    """Folders of other runs whose rows count in the table, too."""
+
+
+def ablate(
+    config: Evaluation, pair: Pair, group: SymmetryGroup, pivot_m: Float[np.ndarray, "3"] | None
+) -> list[dict[str, Any]]:
+    """What each variant answers; a set of hypotheses serves all variants that share it."""
+    sets: dict[Effort, tuple[Problem, Hypotheses, float]] = {}
+    measured = []
+    for name in config.estimators:
+        if name not in VARIANTS:
+            begin = time.process_time()
+            R = load_estimator(name).estimate(pair.current, pair.goal, pivot_m).R_goal_current
+            seconds = time.process_time() - begin
+        else:
+            variant = VARIANTS[name]
+            if variant.effort not in sets:
+                begin = time.process_time()
+                problem = pose(pair.current, pair.goal, pivot_m)
+                hypotheses = search(problem, variant.effort)
+                hypotheses = hypotheses[np.argsort(-problem.score(hypotheses, *SCORED), kind="stable")]
+                sets[variant.effort] = problem, hypotheses, time.process_time() - begin
+            problem, hypotheses, seconds = sets[variant.effort]
+            begin = time.process_time()
+            R = _chosen(variant, problem, hypotheses[np.arange(len(hypotheses))[: variant.keep]], pair, group)
+            seconds += time.process_time() - begin
+        measured.append(answer_cells(R, pair, group) | {"seconds": f"{seconds:.5f}"})
+    return measured
+
+
+def _chosen(
+    variant: Variant, problem: Problem, hypotheses: Hypotheses, pair: Pair, group: SymmetryGroup
+) -> Float[np.ndarray, "3 3"]:
+    """One of the hypotheses, which come in the order of their score."""
+    if variant.choose == "judge":
+        best = np.argmax(load_judge().log_odds(features(problem, problem.looks[0], hypotheses)))
+    elif variant.choose == "oracle":
+        best = np.argmin([symmetric_error(group, R, pair.R_goal_current, pair.R_camera_object) for R in hypotheses.R])
+    else:
+        best = np.intp(0)
+    return hypotheses.R[best]
+
+
+HEAD = (
+    *("range", "variant", "pairs", "< 5° sym. (95%)", f"less {REFERENCE}, points (95%)"),
+    *(f"only it / only {REFERENCE}", "p", "ms"),
+)
+
+
+def markdown(rows: Sequence[Row]) -> str:
+    """The table: for each range and for all together, every variant; noise levels count together."""
+    right = numbers(rows, "error_sym_deg") < 5
+    low_deg, milliseconds = numbers(rows, "low_deg"), 1000 * numbers(rows, "seconds")
+    name, thing = (np.array([row[column] for row in rows]) for column in ("estimator", "object"))
+    spans: dict[str, float | None] = {
+        f"{float(row['low_deg']):g}–{float(row['high_deg']):g}°": float(row["low_deg"]) for row in rows
+    }
+    lines = [HEAD, ["---"] * 2 + ["---:"] * (len(HEAD) - 2)]
+    for span, low in (spans | {"all": None}).items():
+        cell = np.ones(len(rows), bool) if low is None else low_deg == low
+        reference = right[cell & (name == REFERENCE)]
+        for variant in estimators(rows):
+            mine = cell & (name == variant)
+            compared = ["", "", ""] if variant == REFERENCE else _compared(right[mine], reference, thing[mine])
+            ms = f"{np.median(milliseconds[mine]):.0f}"
+            lines.append([span, variant, str(mine.sum()), _share(right[mine]), *compared, ms])
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _share(right: Bool[np.ndarray, " n"]) -> str:
+    low, high = wilson(int(right.sum()), len(right))
+    return f"{right.mean():.1%} ({100 * low:.1f}–{100 * high:.1f})"
+
+
+def _compared(right: Bool[np.ndarray, " n"], reference: Bool[np.ndarray, " n"], thing: np.ndarray) -> list[str]:
+    """The paired difference with its interval, the pairs that only one gets right, and McNemar's p."""
+    only, other = int((right & ~reference).sum()), int((reference & ~right).sum())
+    low, high = _bootstrapped(right.astype(float) - reference, thing)
+    p = binomtest(only, only + other).pvalue if only + other else 1.0
+    return [f"{100 * (only - other) / len(right):+.1f} ({low:+.1f} to {high:+.1f})", f"{only} / {other}", f"{p:.2g}"]
+
+
+def _bootstrapped(difference: Float[np.ndarray, " n"], thing: np.ndarray) -> tuple[float, float]:
+    """95% interval of the mean in percent points, by drawing objects with all of their pairs."""
+    names, place = np.unique(thing, return_inverse=True)
+    total, count = np.bincount(place, difference), np.bincount(place)
+    drawn = np.random.default_rng(0).integers(len(names), size=(RESAMPLES, len(names)))
+    low, high = np.percentile(100 * total[drawn].sum(axis=1) / count[drawn].sum(axis=1), [2.5, 97.5])
+    return float(low), float(high)
+
+
+def verdict(rows: Sequence[Row]) -> str:
+    """Whether Wilson's intervals of the judge and the hand-made score are apart, all ranges together."""
+    intervals = []
+    for name in ("judge", "score"):
+        right = numbers([row for row in rows if row["estimator"] == name], "error_sym_deg") < 5
+        intervals.append(wilson(int(right.sum()), len(right)))
+    (low, high), (other_low, other_high) = intervals
+    return (
+        f"judge {low:.1%} to {high:.1%}, hand-made score {other_low:.1%} to {other_high:.1%}: "
+        f"the intervals {'overlap' if low <= other_high and other_low <= high else 'are apart'}"
+    )
 
 
 def main(config: Stages) -> None:
-    """All pairs, then the summary."""
-    make_folder(config.out.parent)
-    objects, world, judge = config.source.open(), load_world("benchmark"), load_judge()
-    rows = []
-    for index in track(range(config.pairs), "pairs"):
-        name = objects.names[index % len(objects.names)]
-        renderer = Renderer(objects.load(name))
-        for low, high in RANGES_DEG:
-            rng = np.random.default_rng([7, index, low])
-            pair = sample_pair(
-                rng, renderer, world, randomised(config.noise_mm / 1000), np.radians(low), np.radians(high)
-            )
-            for variant, effort in VARIANTS.items():
-                begin = time.process_time()
-                problem = pose(pair.current, pair.goal, pair.pivot_m if config.pivot else None)
-                hypotheses = search(problem, effort)
-                score = problem.score(hypotheses, 0.015, 1000)
-                odds = judge.log_odds(features(problem, problem.looks[0], hypotheses))
-                seconds = time.process_time() - begin
-                error = np.degrees(so3.angle_difference(hypotheses.R, pair.R_goal_current))
-                rows.append(
-                    {
-                        "object": name,
-                        "pair": index,
-                        "low_deg": low,
-                        "variant": variant,
-                        "best_deg": f"{error.min():.4f}",
-                        "judge_deg": f"{error[np.argmax(odds)]:.4f}",
-                        "score_deg": f"{error[np.argmax(score)]:.4f}",
-                        "seconds": f"{seconds:.4f}",
-                    }
-                )
-    write_table(config.out, rows)
-    for variant in VARIANTS:
-        print(variant)
-        for low, high in RANGES_DEG:
-            chosen = [row for row in rows if row["variant"] == variant and row["low_deg"] == low]
-            share = {
-                key: np.mean([float(str(row[key])) < 5 for row in chosen])
-                for key in ("best_deg", "judge_deg", "score_deg")
-            }
-            ms = 1000 * np.median([float(str(row["seconds"])) for row in chosen])
-            print(
-                f"  {low}-{high}: best of the set {share['best_deg']:.1%}, judge {share['judge_deg']:.1%}, "
-                f"hand-made {share['score_deg']:.1%}, {ms:.0f} ms"
-            )
+    """Measure, then print the table."""
+    show_progress("pairs", measure_pairs(config.config, config.out, ablate, config.workers, str(VARIANTS)))
+    rows: list[Row] = []
+    for folder in (config.out, *config.also):
+        more = read_rows(folder)
+        if set(estimators(more)) != set(config.config.estimators):
+            raise ReorientError(f"{str(folder)!r} has other variants: expected {', '.join(config.config.estimators)}")
+        rows += more
+    print(markdown(rows))
+    if {"judge", "score"} <= set(config.config.estimators):
+        print(f"\n{verdict(rows)}")
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Stages, description=__doc__))
+    main(tyro.cli(Stages, description=__doc__, config=(tyro.conf.OmitArgPrefixes,)))

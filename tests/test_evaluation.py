@@ -2,6 +2,7 @@
 
 import csv
 import gzip
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,9 @@ import pytest
 
 from reorient import so3
 from reorient.errors import ReorientError
-from reorient.evaluation import COLUMNS, Evaluation, evaluate, read_config, regenerate
+from reorient.estimators.base import RotationEstimate
+from reorient.estimators.evidence import View, weigh
+from reorient.evaluation import COLUMNS, Evaluation, answer_cells, evaluate, measure_pairs, read_config, regenerate
 from reorient.objects import ObjectSource
 
 TINY = Evaluation(ObjectSource(count=2), ("gicp", "icp"), ranges_deg=((0, 30), (30, 60)), noise_mm=(0.0, 1.0), pairs=3)
@@ -89,17 +92,60 @@ def test_goes_on_after_being_killed_in_the_middle_of_a_row(finished, tmp_path):
     assert run(TINY, out) == [(3, 3)]  # nothing left to do
 
 
-def test_an_estimator_that_refuses_has_answered_nothing(tmp_path, monkeypatch):
-    class Refusing:
-        def estimate(self, *_):
-            raise ReorientError("too dark")
+@dataclass(frozen=True)
+class Fixed:
+    """An estimator that is not of the package: always the same turn about the optical axis, or a refusal."""
 
-    monkeypatch.setattr("reorient.evaluation._estimator", lambda name: Refusing())
-    config = Evaluation(ObjectSource(count=1), ("icp",), ranges_deg=((10, 20),), noise_mm=(0.0,), pairs=1)
-    run(config, tmp_path / "run")
+    turn_rad: float | None
+
+    def estimate(self, current, goal, pivot_m=None, history=()):
+        if self.turn_rad is None:
+            raise ReorientError("too dark")
+        R = so3.exp(np.array([0, 0, self.turn_rad]))
+        return RotationEstimate(R, np.zeros(3), weigh(View(current), View(goal), R, np.zeros(3), 0.01))
+
+
+def test_an_estimator_that_refuses_has_answered_nothing(tmp_path):
+    config = Evaluation(ObjectSource(count=1), ("dark",), ranges_deg=((10, 20),), noise_mm=(0.0,), pairs=1)
+    list(evaluate(config, tmp_path / "run", own={"dark": Fixed(None)}))
     (row,) = rows_of(tmp_path / "run")
     assert row["message"] == "too dark"
     assert float(row["error_deg"]) == pytest.approx(float(row["angle_deg"]), abs=1e-3)
+
+
+def test_estimators_of_ones_own_stand_beside_the_package_s(tmp_path):
+    config = Evaluation(ObjectSource(count=1), ("mine", "gicp"), ranges_deg=((10, 20),), noise_mm=(0.0,), pairs=2)
+    list(evaluate(config, tmp_path / "run", workers=2, own={"mine": Fixed(0.3)}))
+    rows = rows_of(tmp_path / "run")
+    assert [row["estimator"] for row in rows] == ["mine", "gicp"] * 2
+    assert all(float(row["qw"]) == pytest.approx(np.cos(0.15)) for row in rows[::2])
+    assert rows[0]["angle_deg"] == rows[1]["angle_deg"]
+    with pytest.raises(ReorientError, match="holds a run of another config"):
+        list(evaluate(config, tmp_path / "run", own={"mine": Fixed(0.4)}))
+    with pytest.raises(ReorientError, match="unknown estimator 'mine'"):
+        run(config, tmp_path / "other")
+
+
+def test_anything_can_be_measured_of_the_same_pairs(finished, tmp_path):
+    def truth(config, pair, group, pivot_m):
+        assert (pivot_m is None) != config.pivot
+        return [answer_cells(pair.R_goal_current, pair, group) for _ in config.estimators]
+
+    config = replace(TINY, estimators=("truth",), pivot=True)
+    list(measure_pairs(config, tmp_path / "run", truth))
+    rows = rows_of(tmp_path / "run")
+    assert all(float(row["error_sym_deg"]) < 0.01 for row in rows)
+    assert [row["angle_deg"] for row in rows] == [row["angle_deg"] for row in rows_of(finished)[::2]]
+
+
+def test_rows_of_another_version_are_not_mixed(tmp_path):
+    states = evaluate(TINY, tmp_path / "run")
+    next(state for state in states if state[0] == 1)
+    states.close()
+    partial = tmp_path / "run" / "rows.partial.csv"
+    partial.write_bytes(b"".join(line.rpartition(b",")[0] + b"\r\n" for line in partial.read_bytes().splitlines()))
+    with pytest.raises(ReorientError, match="begun by another version: expected a new folder"):
+        run(TINY, tmp_path / "run")
 
 
 def test_refusals(finished, tmp_path):

@@ -5,9 +5,10 @@ import pytest
 import trimesh
 
 from reorient import so3
+from reorient.depth import DepthImage
 from reorient.errors import ReorientError
-from reorient.pairs import FEWEST_RETURNS, sample_pair
-from reorient.rendering import Renderer, load_world
+from reorient.pairs import FEWEST_RETURNS, Pair, sample_pair, view_overlap
+from reorient.rendering import Placement, Renderer, load_world
 from reorient.sensing import Sensor, randomised
 
 WORLD = load_world("benchmark")
@@ -61,3 +62,28 @@ def test_an_object_that_is_hardly_seen_is_refused(rng):
     needle = trimesh.creation.box((1.0, 1e-4, 1e-4))
     with pytest.raises(ReorientError, match="fewer than 100 returns from everywhere"):
         sample_pair(rng, Renderer(needle), WORLD, Sensor(), 0.0, 0.5)
+
+
+def overlap_of(shape: trimesh.Trimesh, turn: np.ndarray) -> float:
+    """Of a small shape straight ahead and its turn."""
+    renderer, placement = Renderer(shape), Placement(0.05, np.array([0.0, 0.0, 0.6]))
+    R = so3.exp(turn)
+    images = [DepthImage(renderer.depth(WORLD.camera, x, placement), WORLD.camera) for x in (np.eye(3), R)]
+    return view_overlap(renderer, Pair(*images, R, np.eye(3), placement, placement.center_m))
+
+
+def test_overlap_is_the_share_of_the_goal_s_surface_that_the_start_sees():
+    box = trimesh.creation.box((1.0, 1.0, 1.0))
+    assert overlap_of(box, np.zeros(3)) == 1
+    assert overlap_of(box, np.array([0.0, 0.0, np.pi])) == 1  # the same face, about the optical axis
+    assert overlap_of(box, np.array([0.0, np.pi, 0.0])) == 0  # the other side
+    quarter = overlap_of(box, np.array([0.0, np.pi / 4, 0.0]))  # two faces, each foreshortened; one was seen
+    assert quarter == pytest.approx(0.5, abs=0.03)
+    ball = trimesh.creation.icosphere(4)
+    shares = [overlap_of(ball, np.array([0.0, np.radians(angle), 0.0])) for angle in (30, 90, 150)]
+    # of an orthographic disc the crescent's edge is an ellipse of the semi-axis cos(angle): (1 + cos) / 2 is shared
+    assert shares == pytest.approx([(1 + np.cos(np.radians(angle))) / 2 for angle in (30, 90, 150)], abs=0.06)
+    assert all(
+        overlap_of(ball, np.array([x, 0.0, 0.0])) == pytest.approx(overlap_of(ball, np.array([-x, 0, 0])), abs=0.02)
+        for x in (0.5, 2.0)
+    )

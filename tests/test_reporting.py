@@ -21,11 +21,13 @@ from reorient.evaluation import COLUMNS, Evaluation, regenerate
 from reorient.objects import ObjectSource
 from reorient.rendering import load_world
 from reorient.reporting import (
+    OVERLAP,
     figures,
     markdown_table,
     print_tables,
     read_rows,
     summarise,
+    trust,
     write_loop,
     write_report,
 )
@@ -48,7 +50,9 @@ def row(error_deg: float, **cells: object) -> dict[str, str]:
         "error_sym_deg": str(error_deg),
         "qw": "1",
         "seconds": "0.02",
+        "confidence": "",
         "message": "",
+        "overlap": "",
     }
     return default | {name: str(value) for name, value in cells.items()}
 
@@ -117,6 +121,16 @@ def test_rows_come_back(tmp_path):
     assert read_rows(write_rows(tmp_path, rows)) == rows
 
 
+def test_rows_of_before_the_overlap_are_read(tmp_path):
+    write_rows(tmp_path, [row(1.0, overlap=0.3)])
+    file = tmp_path / "rows.csv.gz"
+    lines = gzip.decompress(file.read_bytes()).splitlines()
+    file.write_bytes(gzip.compress(b"\r\n".join(line.rpartition(b",")[0] for line in lines)))
+    (old,) = read_rows(tmp_path)
+    assert old == row(1.0)
+    assert markdown_table([old]).count("gicp") == 1
+
+
 def test_broken_folders_say_what_is_wrong(tmp_path):
     def said() -> str:
         with pytest.raises(ReorientError) as caught:
@@ -172,6 +186,50 @@ def test_screen_tables_are_complete_in_120_columns(rows):
     assert max(map(len, text.splitlines())) <= 120
 
 
+def test_overlap_divides_the_rows_in_quarters(rows):
+    shares = {0.0: "0–25%", 0.2499: "0–25%", 0.25: "25–50%", 0.5: "50–75%", 0.75: "75–100%", 1.0: "75–100%"}
+    known = [row(index, overlap=share, low_deg=60) for index, share in enumerate(shares)]
+    for share, quarter in shares.items():
+        (line,) = (x for x in markdown_table([row(9.0, overlap=share)], OVERLAP).splitlines() if "gicp" in x)
+        assert line.startswith(f"| 0 mm | {quarter} | gicp | 1 | 9.00 |")
+    table = markdown_table([*rows, *known], OVERLAP)  # those of before have none, and are left out
+    assert table.splitlines()[0].startswith("| noise | overlap | estimator | pairs |")
+    assert [line.split(" | ")[3] for line in table.splitlines()[2:6]] == ["2", "1", "1", "2"]
+    assert "rays cast at the mesh" in table
+    screen = io.StringIO()
+    print_tables([*rows, *known], Console(file=screen, width=120))
+    assert screen.getvalue().count("75–100%") == 1
+
+
+# --- confidence -----------------------------------------------------------------------------------------------------
+
+
+def test_reliability_and_risk_by_hand():
+    said = np.array([0.95, 0.91, 0.55, 0.51, 0.05])
+    right = np.array([True, True, False, True, False])
+    bins = trust.reliability(said, right)
+    assert [(x.low, x.n, x.hits, x.was) for x in bins] == [(0.0, 1, 0, 0.0), (0.5, 2, 1, 0.5), (0.9, 2, 2, 1.0)]
+    assert trust.calibration_error(bins) == pytest.approx((0.05 + 2 * 0.03 + 2 * 0.07) / 5)
+    assert trust.risk(said, right) == pytest.approx([0, 0, 1 / 3, 1 / 4, 2 / 5])
+    assert trust.reliability(np.ones(3), np.ones(3, bool))[0].high == 1  # certainty is in the last bin
+
+
+def test_the_figure_shows_every_confident_estimator(rng):
+    rows = [
+        row(0.0, estimator=name, confidence=said, error_sym_deg=9 * (rng.random() > said))
+        for name in ("default", "fast")
+        for said in rng.random(200)
+    ]
+    sure = trust.confident([*rows, row(3.0)])
+    assert sure == rows
+    left, right = trust.figure(sure).axes
+    curves = [line.get_ydata() for line in right.lines if line.get_linestyle() == "-"]
+    assert [len(curve) for curve in curves] == [200, 200]
+    assert [curve[-1] for curve in curves] == pytest.approx([0.5, 0.5], abs=0.1)
+    errors = [float(text.get_text()) for text in left.get_legend().get_texts()]
+    assert max(errors) < 0.12
+
+
 def test_markdown_table(rows):
     lines = markdown_table(rows).splitlines()
     table = [line for line in lines if line.startswith("|")]
@@ -213,6 +271,7 @@ def test_report_holds_everything_and_turns_the_start_by_the_estimate(tmp_path):
     html = path.read_text()
     charts, cards = pictures_of(html)[:3], pictures_of(html)[3:]
     assert all(address.startswith("data:image/svg") for address in charts)
+    assert "What the confidence is worth" not in html
     headings = ["Results", "Error against angle", "Error histograms", "Cumulative errors", "Best and worst pairs"]
     assert re.findall("<h2>(.*?)</h2>", html) == [*headings, "How it was run"]
     assert len(cards) == 4  # two worst, then two best
@@ -230,6 +289,16 @@ def test_report_holds_everything_and_turns_the_start_by_the_estimate(tmp_path):
     assert np.abs(turned - goal).mean() < 0.15 * np.abs(start - goal).mean()
     start, goal, turned = panels(cards[0])  # no rotation: the start without its occluder
     assert np.abs(turned - start).mean() < 0.5 * np.abs(turned - goal).mean()
+
+
+def test_report_shows_overlap_and_confidence_where_they_are_known(tmp_path):
+    write_config(tmp_path, Evaluation(ObjectSource(meshes=tmp_path / "gone"), ("default",)))
+    rows = [row(x, estimator="default", confidence=1 - x / 10, overlap=x / 10) for x in range(10)]
+    html = write_report(write_rows(tmp_path, rows)).read_text()
+    headings = re.findall("<h2>(.*?)</h2>", html)
+    assert headings[:3] == ["Results", "By overlap of the views", "What the confidence is worth"]
+    assert '<td class="word">25–50%</td>' in html
+    assert len(set(pictures_of(html))) == 4
 
 
 def test_report_stands_without_the_meshes(tmp_path):

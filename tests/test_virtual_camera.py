@@ -17,6 +17,7 @@ from reorient.virtual_camera import (
     join,
     network_input,
     outline,
+    slide,
     turned,
     turning_points,
 )
@@ -192,6 +193,20 @@ class TestTurned:
         virtual, views_m, _, pivot_m = pair
         guesses_m = turning_points(np.stack(views_m), np.repeat(virtual.tangent, 2))
         assert np.linalg.norm(guesses_m - pivot_m, axis=1).max() < 0.04
+
+
+def test_a_sphere_slides_onto_itself_moved():
+    camera, shift_m = CAMERAS["f = 535"], np.array([0.006, -0.004, 0.01])
+    center_m = SPHERES_M["ahead"]
+    virtual, views_m = view_of(sphere_image(camera, center_m), sphere_image(camera, center_m + shift_m))
+    found_m = slide(views_m[0][None], views_m[1][None], virtual.tangent)[0]
+    assert virtual.R_virtual_camera[0].T @ found_m == pytest.approx(shift_m, abs=0.0015)
+
+
+def test_nothing_slides_onto_nothing():
+    empty, full = np.zeros((1, 8, 8), np.float32), np.ones((1, 8, 8), np.float32)
+    assert not slide(empty, full, np.ones(1)).any()
+    assert not slide(full, empty, np.ones(1)).any()
 
 
 @pytest.mark.parametrize("pivot_m", [(0.0, 0.0, -0.6), (0.0, 0.1, 0.0), (np.nan, 0.0, 0.6)])

@@ -1,7 +1,8 @@
 """Estimators x objects x angles x noise: one raw row each, summaries last.
 
 A run folder holds ``config.json`` (what was asked, and the commit) and ``rows.csv.gz``. Rows are appended to
-``rows.partial.csv`` pair by pair, so that an interrupted run goes on where it stopped.
+``rows.partial.csv`` pair by pair, so that an interrupted run goes on where it stopped. ``evaluate`` measures
+estimators, by name or as objects; ``measure_pairs`` is the same walk for whoever measures something else of a pair.
 """
 
 import csv
@@ -12,15 +13,16 @@ import shlex
 import shutil
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from reorient import __version__, so3
 from reorient.errors import ReorientError
@@ -28,7 +30,7 @@ from reorient.estimators import load_estimator
 from reorient.estimators.base import Estimator
 from reorient.files import commit, make_folder, replacing
 from reorient.objects import ObjectSet, ObjectSource
-from reorient.pairs import Pair, sample_pair
+from reorient.pairs import Pair, sample_pair, view_overlap
 from reorient.rendering import Renderer, load_world
 from reorient.sensing import randomised
 from reorient.symmetry import SymmetryGroup, rotation_group, symmetric_error
@@ -59,7 +61,9 @@ COLUMNS = [
     "iterations",
     "confidence",
     "message",
+    "overlap",
 ]
+"""Of a row; rows of before ``overlap`` was measured lack it."""
 
 Row = dict[str, str]
 
@@ -70,7 +74,7 @@ class Evaluation:
 
     objects: ObjectSource = field(default_factory=ObjectSource)
     estimators: tuple[str, ...] = ("gicp", "icp")
-    """Names of estimators."""
+    """Names of estimators; each has a row for every pair."""
     world: str = "benchmark"
     """Preset of camera, size and distance: benchmark or paper."""
     ranges_deg: tuple[tuple[float, float], ...] = ((0, 30), (30, 60))
@@ -94,29 +98,49 @@ class Evaluation:
             raise ReorientError("expected at least one estimator, range, noise and pair, and a seed from 0")
 
 
-def evaluate(config: Evaluation, out: Path, workers: int = 1) -> Iterator[tuple[int, int]]:
+Measure = Callable[[Evaluation, Pair, SymmetryGroup, Float[np.ndarray, "3"] | None], list[dict[str, Any]]]
+"""What to find out about a pair, its object's symmetry and the pivot that may be used: for each of
+``config.estimators`` the cells of its row, of those ``COLUMNS`` that say nothing of the pair itself."""
+
+
+def evaluate(
+    config: Evaluation, out: Path, workers: int = 1, own: Mapping[str, Estimator] | None = None
+) -> Iterator[tuple[int, int]]:
     """Run, yielding (pairs done, pairs in all); the rows are in ``out/rows.csv.gz`` when it ends.
 
+    ``own``: estimators that are not of the package, by the names under which the config lists them.
     Goes on where an earlier run of the same config stopped. Raises ReorientError where ``out`` holds another config.
     ``seconds`` of a row are the process's own, on all its threads: other work on the machine hardly counts.
     """
+    own = own or {}
     for name in config.estimators:
-        load_estimator(name)
+        if name not in own:
+            load_estimator(name)
+    yield from measure_pairs(config, out, partial(_estimates, dict(own)), workers, own=str(dict(own)))
+
+
+def measure_pairs(
+    config: Evaluation, out: Path, measure: Measure, workers: int = 1, own: str = "{}"
+) -> Iterator[tuple[int, int]]:
+    """As ``evaluate``, with any measure. ``own``: what else the rows depend on, in words; kept in ``config.json``."""
     load_world(config.world)
     if workers < 1:
         raise ReorientError(f"{workers} workers: expected at least 1")
     names = _loadable(config.objects.open(), config.pairs)
-    _write_config(config, make_folder(out), workers)
-    partial, finished = out / "rows.partial.csv", out / "rows.csv.gz"
+    _write_config(config, make_folder(out), workers, own)
+    partial_file, finished = out / "rows.partial.csv", out / "rows.csv.gz"
     if finished.is_file():
-        partial.unlink(missing_ok=True)
+        partial_file.unlink(missing_ok=True)
         yield config.pairs, config.pairs
         return
     per_pair = len(config.ranges_deg) * len(config.noise_mm) * len(config.estimators)
-    done = _whole_pairs(partial, per_pair)
-    tasks = [(config, names[index % len(names)], index) for index in range(done, config.pairs)]
+    done = _whole_pairs(partial_file, per_pair)
+    tasks = [(config, measure, names[index % len(names)], index) for index in range(done, config.pairs)]
     yield done, config.pairs
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool, partial.open("a", newline="") as file:
+    with (
+        ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool,
+        partial_file.open("a", newline="") as file,
+    ):
         results = pool.map(_measure_pair, tasks) if workers > 1 else map(_measure_pair, tasks)
         for rows in results:
             buffer = io.StringIO()
@@ -127,13 +151,13 @@ def evaluate(config: Evaluation, out: Path, workers: int = 1) -> Iterator[tuple[
             yield done, config.pairs
     with (
         replacing(finished) as temporary,
-        partial.open("rb") as raw,
+        partial_file.open("rb") as raw,
         temporary.open("wb") as whole,
         gzip.GzipFile("", "wb", fileobj=whole, mtime=0) as packed,
     ):
         packed.write((",".join(COLUMNS) + "\r\n").encode())
         shutil.copyfileobj(raw, packed)
-    partial.unlink()
+    partial_file.unlink()
 
 
 def read_config(path: Path) -> Evaluation:
@@ -161,8 +185,8 @@ def regenerate(config: Evaluation, row: Row) -> tuple[Pair, Renderer]:
     return pair, renderer
 
 
-def _measure_pair(task: tuple[Evaluation, str, int]) -> list[Row]:
-    config, name, index = task
+def _measure_pair(task: tuple[Evaluation, Measure, str, int]) -> list[Row]:
+    config, measure, name, index = task
     mesh, group = _object(config.objects, name)
     renderer = Renderer(mesh)
     rows = []
@@ -176,11 +200,12 @@ def _measure_pair(task: tuple[Evaluation, str, int]) -> list[Row]:
                 "noise_mm": noise_mm,
                 "low_deg": low,
                 "high_deg": high,
+                "angle_deg": f"{np.degrees(so3.angle(pair.R_goal_current)):.4f}",
+                "overlap": f"{view_overlap(renderer, pair):.4f}",
             }
-            pivot_m = pair.pivot_m if config.pivot else None
-            for estimator in config.estimators:
-                measured = _measure(_estimator(estimator), pair, group, pivot_m)
-                rows.append(measured | cell | {"estimator": estimator})
+            measured = measure(config, pair, group, pair.pivot_m if config.pivot else None)
+            for estimator, figures in zip(config.estimators, measured, strict=True):
+                rows.append(dict.fromkeys(COLUMNS, "") | figures | cell | {"estimator": estimator})
     return [{column: str(row[column]) for column in COLUMNS} for row in rows]
 
 
@@ -191,7 +216,22 @@ def _pair(config: Evaluation, renderer: Renderer, index: int, low: float, high: 
     )
 
 
-def _measure(estimator: Estimator, pair: Pair, group: SymmetryGroup, pivot_m: np.ndarray | None) -> dict[str, Any]:
+def _estimates(
+    own: dict[str, Estimator],
+    config: Evaluation,
+    pair: Pair,
+    group: SymmetryGroup,
+    pivot_m: Float[np.ndarray, "3"] | None,
+) -> list[dict[str, Any]]:
+    """What each estimator answers."""
+    return [
+        _estimate(own[name] if name in own else _estimator(name), pair, group, pivot_m) for name in config.estimators
+    ]
+
+
+def _estimate(
+    estimator: Estimator, pair: Pair, group: SymmetryGroup, pivot_m: Float[np.ndarray, "3"] | None
+) -> dict[str, Any]:
     """One row's figures. An estimator that refuses has answered "no rotation"; the message says why."""
     begin = time.process_time()
     try:
@@ -209,18 +249,15 @@ def _measure(estimator: Estimator, pair: Pair, group: SymmetryGroup, pivot_m: np
             "confidence": "" if estimate.confidence is None else f"{estimate.confidence:.4f}",
         }
     seconds = time.process_time() - begin
-    figures |= {f"q{part}": f"{x:.9f}" for part, x in zip("wxyz", so3.quat_from_matrix(R), strict=True)}
-    return (
-        dict.fromkeys(COLUMNS, "")
-        | figures
-        | {
-            "angle_deg": f"{np.degrees(so3.angle(pair.R_goal_current)):.4f}",
-            "error_deg": f"{np.degrees(so3.angle_difference(R, pair.R_goal_current)):.5f}",
-            "error_sym_deg": f"{np.degrees(symmetric_error(group, R, pair.R_goal_current, pair.R_camera_object)):.5f}",
-            "seconds": f"{seconds:.5f}",
-            "message": message,
-        }
-    )
+    return figures | answer_cells(R, pair, group) | {"seconds": f"{seconds:.5f}", "message": message}
+
+
+def answer_cells(R: Float[np.ndarray, "3 3"], pair: Pair, group: SymmetryGroup) -> dict[str, str]:
+    """The cells of a row that an answer and the truth give: the errors, and the answer itself."""
+    return {
+        "error_deg": f"{np.degrees(so3.angle_difference(R, pair.R_goal_current)):.5f}",
+        "error_sym_deg": f"{np.degrees(symmetric_error(group, R, pair.R_goal_current, pair.R_camera_object)):.5f}",
+    } | {f"q{part}": f"{x:.9f}" for part, x in zip("wxyz", so3.quat_from_matrix(R), strict=True)}
 
 
 @lru_cache(maxsize=8)
@@ -250,14 +287,14 @@ def _loadable(objects: ObjectSet, most: int) -> tuple[str, ...]:
     return objects.names
 
 
-def _write_config(config: Evaluation, out: Path, workers: int) -> None:
+def _write_config(config: Evaluation, out: Path, workers: int, own: str) -> None:
     file = out / "config.json"
     if file.is_file():
-        if read_config(out) != config:
+        if read_config(out) != config or json.loads(file.read_text()).get("own", "{}") != own:
             raise ReorientError(f"{str(out)!r} holds a run of another config: expected the same, or a new folder")
         return
     with replacing(file) as temporary:
-        temporary.write_text(json.dumps(run_record(config, workers=workers), indent=2) + "\n")
+        temporary.write_text(json.dumps(run_record(config, workers=workers, own=own), indent=2) + "\n")
 
 
 def run_record(config: Any, **more: Any) -> dict[str, Any]:
@@ -267,12 +304,14 @@ def run_record(config: Any, **more: Any) -> dict[str, Any]:
     return {"config": asked, "version": __version__, "commit": commit(), "command": command, **more}
 
 
-def _whole_pairs(partial: Path, per_pair: int) -> int:
+def _whole_pairs(file: Path, per_pair: int) -> int:
     """How many pairs an interrupted run has finished; what it left of the next one is cut off."""
-    if not partial.is_file():
+    if not file.is_file():
         return 0
-    lines = partial.read_bytes().splitlines(keepends=True)
+    lines = file.read_bytes().splitlines(keepends=True)
     whole = sum(line.endswith(b"\r\n") for line in lines) // per_pair
-    with replacing(partial) as temporary:
+    if whole and len(next(csv.reader([lines[0].decode()]))) != len(COLUMNS):
+        raise ReorientError(f"{str(file)!r} was begun by another version: expected a new folder")
+    with replacing(file) as temporary:
         temporary.write_bytes(b"".join(lines[: whole * per_pair]))
     return whole

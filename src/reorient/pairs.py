@@ -55,6 +55,18 @@ def sample_pair(
     raise ReorientError("an object shows fewer than 100 returns from everywhere: expected a larger surface")
 
 
+def view_overlap(renderer: Renderer, pair: Pair) -> float:
+    """Share of the goal's visible surface, as its exact image shows it, that the start's camera sees too.
+
+    By casting rays at the mesh, without the sensor: what the rectangle, noise or shadows hide counts as seen.
+    """
+    camera, center_m = pair.goal.camera, pair.placement.center_m
+    depth_m = renderer.depth(camera, pair.R_goal_current @ pair.R_camera_object, pair.placement)
+    points_m = (DepthImage(depth_m, camera).points() - center_m) @ pair.R_goal_current + center_m
+    hidden = renderer.shadowed(points_m, np.zeros(3), pair.R_camera_object, pair.placement)
+    return 1 - float(hidden.mean())
+
+
 LARGEST_CHUNK = 64  # pairs, what one read of a stored set brings
 
 

@@ -171,3 +171,25 @@ def turning_points(
     y = np.einsum("nij,i->n", depth_m, axis) * tangent / count
     z = depth_m.sum(axis=(1, 2)) / count
     return np.stack([x, y, z + BEHIND * 2 * tangent * z], axis=1)
+
+
+def slide(
+    seen_m: Float32[np.ndarray, "n size size"],
+    goal_m: Float32[np.ndarray, "n size size"],
+    tangent: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, "n 3"]:
+    """The shifts (metres, virtual axes) that bring views onto others: middle of the outlines, and median depth where
+    both see the object. None for a view without returns."""
+    shifts = np.zeros((len(seen_m), 3))
+    for shift, seen, goal, wide in zip(shifts, seen_m, goal_m, tangent, strict=True):
+        if not (seen.any() and goal.any()):
+            continue
+        unit = 2 * wide / len(goal)
+        z = goal[goal > 0].mean()
+        for i, axis in enumerate((0, 1)):
+            a, b = (np.nonzero((x > 0).any(axis=axis))[0] for x in (seen, goal))
+            shift[i] = (b[0] + b[-1] - a[0] - a[-1]) / 2 * unit * z
+        both = (seen > 0) & (goal > 0)
+        if both.any():
+            shift[2] = np.median(goal[both] - seen[both])
+    return shifts

@@ -13,7 +13,7 @@ from reorient.depth import DepthImage
 from reorient.errors import ReorientError
 from reorient.estimators.base import History, RotationEstimate, check_pair
 from reorient.estimators.evidence import View, weigh
-from reorient.virtual_camera import VirtualCamera, aim, join, network_input, outline, turned, turning_points
+from reorient.virtual_camera import VirtualCamera, aim, join, network_input, outline, slide, turned, turning_points
 
 SWIFT_ROUNDS = 3  # from the second on it is asked about what the answer so far leaves
 TOLERANCE = 0.018  # depth difference that still fits, of the object's size
@@ -63,6 +63,9 @@ class Learned:
         R_virtual = self._answer(current_m, goal_m, virtual)
         for _ in range(self._rounds - 1):
             seen_m = turned(current_m, virtual.tangent, R_virtual, from_m, to_m)
+            if pivot_m is None:  # a guess is made better by what the turned view shows
+                to_m = to_m + slide(seen_m, goal_m, virtual.tangent)
+                seen_m = turned(current_m, virtual.tangent, R_virtual, from_m, to_m)
             R_virtual = self._answer(seen_m, goal_m, virtual) @ R_virtual
         R = virtual.to_camera(R_virtual)[0]
         t = virtual.R_virtual_camera[0].T @ (to_m[0] - R_virtual[0] @ from_m[0])

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
@@ -10,7 +11,8 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from reorient.reporting.style import PAGE_INCHES, STYLE, colours_of, legend, width_inches
+from reorient.files import replacing
+from reorient.reporting.figures import PAGE_INCHES, REFERENCE, STYLE, colours_of, legend
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ def curves(panels: Sequence[Panel], xlabel: str) -> Figure:
     colours = colours_of(dict.fromkeys(name for panel in panels for name in panel.lines))
     alike = len({(panel.ylabel, panel.logarithmic) for panel in panels}) == 1
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(width_inches(max(len(panels), 2)), 3.6))
+        figure = Figure(figsize=(PAGE_INCHES, 3.6))
         grid = figure.subplots(1, len(panels), squeeze=False, sharey=alike)[0]
         for axes, panel in zip(grid, panels, strict=True):
             for name, curve in panel.lines.items():
@@ -51,7 +53,7 @@ def curves(panels: Sequence[Panel], xlabel: str) -> Figure:
                 axes.fill_between(curve.x, curve.low, curve.high, color=colours[name], alpha=0.12, linewidth=0)
                 axes.plot(curve.x, curve.y, color=colours[name], marker=marker, markersize=3)
             for said, level in panel.levels.items():
-                axes.axhline(level, color="#7a808c", lw=1.1, ls=":", zorder=0)
+                axes.axhline(level, color=REFERENCE, lw=1.1, ls=":", zorder=0)
                 where: Any = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "bottom"}
                 axes.annotate(said, (0.99, level), size=7.5, color="#5b6270", **where)
             axes.set(title=panel.title, xlabel=xlabel)
@@ -96,3 +98,9 @@ def histograms(
             column[-1].set_xlabel(xlabel)
             column[-1].xaxis.set_major_formatter(_ticks(unit))
     return figure
+
+
+def write_png(figure: Figure, path: Path) -> None:
+    """The figure as a picture, 160 pixels an inch."""
+    with replacing(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=160, metadata={"Software": None})

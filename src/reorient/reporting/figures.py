@@ -1,6 +1,8 @@
 """Figures: error against angle, its distribution, the course of a loop. One style, one colour for an estimator."""
 
-from collections.abc import Mapping, Sequence
+import base64
+import io
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import matplotlib as mpl
@@ -15,12 +17,33 @@ from PIL import Image
 from reorient.evaluation import Row
 from reorient.pictures import BACKGROUND, INK
 from reorient.reporting.rows import estimators, numbers
-from reorient.reporting.style import PAGE_INCHES, STYLE, colours_of, degrees, legend, svg, width_inches
 
+_KNOWN = {"paper": "#cc5a71", "icp": "#8d99ae", "gicp": "#2f6db5", "swift": "#1d9a6c", "default": "#e08e1b"}
+_SPARE = ("#7b5ea7", "#17a2b8", "#a0522d", "#e377c2", "#6b7f1f", "#444b59")
 _TRUE, _PREDICTED = "#4a90d9", "#e08e1b"
-_DASHES = (0, (3, 2))
-_REFERENCE = "#7a808c"
+DASHES = (0, (3, 2))
+REFERENCE = "#7a808c"
 _FEWEST = 5  # rows of a bin whose quartiles are worth drawing
+PAGE_INCHES = 10.6
+STYLE: Any = {  # matplotlib types the keys as literals, which no plain dict satisfies
+    "font.size": 9.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "#8a919e",
+    "axes.labelcolor": "#3b4252",
+    "axes.titlesize": 9.5,
+    "axes.titlecolor": "#20242c",
+    "axes.grid": True,
+    "grid.color": "#e4e7ec",
+    "grid.linewidth": 0.7,
+    "xtick.color": "#5b6270",
+    "ytick.color": "#5b6270",
+    "lines.linewidth": 1.8,
+    "lines.solid_capstyle": "round",
+    "legend.frameon": False,
+    "figure.constrained_layout.use": True,
+    "svg.hashsalt": "reorient",  # the same figure, the same bytes
+}
 
 Panels = Mapping[str, Mapping[str, Sequence[Sequence[float]]]]
 """By title and system, lists of errors in degrees."""
@@ -37,7 +60,7 @@ def error_by_angle(rows: Sequence[Row]) -> str:
     edges = np.linspace(low, high, bins + 1)
     which = np.clip(np.searchsorted(edges, angle_deg, side="right") - 1, 0, bins - 1)
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(width_inches(len(levels)), 3.3))
+        figure = Figure(figsize=(_width_inches(len(levels)), 3.3))
         panels = figure.subplots(1, len(levels), squeeze=False, sharey=True)[0]
         for axes, level in zip(panels, levels, strict=True):
             axes.set(title=f"depth noise {level:g} mm", xlabel="angle between start and goal", xlim=(low, high))
@@ -52,8 +75,8 @@ def error_by_angle(rows: Sequence[Row]) -> str:
                 axes.plot(middles, median, color=colour, marker="o", markersize=3)
             axes.set_yscale("log")
             axes.xaxis.set_major_locator(MaxNLocator(7, steps=[1, 3, 6, 10]))
-            axes.xaxis.set_major_formatter(degrees())
-            axes.yaxis.set_major_formatter(degrees())
+            axes.xaxis.set_major_formatter(_degrees())
+            axes.yaxis.set_major_formatter(_degrees())
         # last, because a limit set on shared axes ends their autoscaling
         panels[0].set_ylim(bottom=max(panels[0].get_ylim()[0], _least_deg(error_deg)))
         panels[0].set_ylabel("error (median, quartiles)")
@@ -71,8 +94,8 @@ def cumulative_errors(rows: Sequence[Row]) -> str:
             axes.set_ylim(0, 1.01)
             for name, mine in members.items():
                 _cumulate(axes, plain_deg[mine], color=colours[name])
-                _cumulate(axes, aware_deg[mine], color=colours[name], linestyle=_DASHES, linewidth=1.1)
-        legend(figure, colours, [Line2D([], [], color="#5b6270", ls=_DASHES, lw=1.1, label="symmetry-aware")])
+                _cumulate(axes, aware_deg[mine], color=colours[name], linestyle=DASHES, linewidth=1.1)
+        legend(figure, colours, [Line2D([], [], color="#5b6270", ls=DASHES, lw=1.1, label="symmetry-aware")])
         return svg(figure)
 
 
@@ -141,10 +164,10 @@ def error_by_image(panels: Panels, reference_deg: float, reference: str) -> str:
     """
     looks = _looks(panels)
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(width_inches(max(len(panels), 2)), 3.3))
+        figure = Figure(figsize=(_width_inches(max(len(panels), 2)), 3.3))
         grid = figure.subplots(1, len(panels), squeeze=False, sharey=True)[0]
         for axes, (title, systems) in zip(grid, panels.items(), strict=True):
-            axes.axhline(reference_deg, color=_REFERENCE, lw=1.2, ls=":", zorder=0)
+            axes.axhline(reference_deg, color=REFERENCE, lw=1.2, ls=":", zorder=0)
             for system, loops in systems.items():
                 last = max(len(errors) for errors in loops)
                 whole = np.array([[*errors, *[errors[-1]] * (last - len(errors))] for errors in loops])
@@ -169,7 +192,7 @@ def errors_by_object(panels: Panels, names: Sequence[str], reference_deg: float,
         figure = Figure(figsize=(PAGE_INCHES, 2.9 * len(panels) + 0.6))
         grid = figure.subplots(len(panels), 1, squeeze=False, sharex=True)[:, 0]
         for axes, (title, systems) in zip(grid, panels.items(), strict=True):
-            axes.axhline(reference_deg, color=_REFERENCE, lw=1.2, ls=":", zorder=0)
+            axes.axhline(reference_deg, color=REFERENCE, lw=1.2, ls=":", zorder=0)
             for index, (system, errors) in enumerate(systems.items()):
                 middle = (index + 0.5) / len(systems) * 0.7 - 0.35
                 colour, hollow = looks[system]["color"], "ls" in looks[system]
@@ -194,13 +217,13 @@ def _looks(panels: Panels) -> dict[str, dict[str, Any]]:
     for system in systems:
         estimator = system.split("/")[0]
         again = any(other.split("/")[0] == estimator for other in looks)
-        looks[system] = {"color": colours[estimator]} | ({"ls": _DASHES} if again else {})
+        looks[system] = {"color": colours[estimator]} | ({"ls": DASHES} if again else {})
     return looks
 
 
 def _legend_of_looks(figure: Figure, looks: dict[str, dict[str, Any]], reference: str) -> None:
     handles = [Line2D([], [], **look, label=system) for system, look in looks.items()]
-    handles.append(Line2D([], [], color=_REFERENCE, lw=1.2, ls=":", label=reference))
+    handles.append(Line2D([], [], color=REFERENCE, lw=1.2, ls=":", label=reference))
     figure.legend(handles=handles, loc="outside upper left", ncols=min(len(handles), 5))
 
 
@@ -211,14 +234,14 @@ def _cells(
     noise_mm, low_deg, high_deg = (numbers(rows, column) for column in ("noise_mm", "low_deg", "high_deg"))
     names = np.array([row["estimator"] for row in rows])
     levels, ranges = np.unique(noise_mm), np.unique(np.stack([low_deg, high_deg], axis=-1), axis=0)
-    figure = Figure(figsize=(width_inches(len(levels)), 2.6 * len(ranges) + 0.5))
+    figure = Figure(figsize=(_width_inches(len(levels)), 2.6 * len(ranges) + 0.5))
     grid = figure.subplots(len(ranges), len(levels), squeeze=False, sharex=True, sharey=True)
     panels = []
     for (row, column), axes in np.ndenumerate(grid):
         (low, high), level = ranges[row], levels[column]
         axes.axvline(5, color="#b4bac6", lw=0.9, zorder=0)
         axes.set(title=f"{low:g}–{high:g}°, noise {level:g} mm", xscale="log", xlim=(least_deg, 180))
-        axes.xaxis.set_major_formatter(degrees())
+        axes.xaxis.set_major_formatter(_degrees())
         axes.yaxis.set_major_formatter(FuncFormatter(lambda share, _: f"{share:.0%}"))
         cell = (noise_mm == level) & (low_deg == low) & (high_deg == high)
         members = {name: cell & (names == name) for name in estimators(rows)}
@@ -228,6 +251,10 @@ def _cells(
     for axes in grid[-1]:
         axes.set_xlabel("error")
     return figure, panels
+
+
+def _width_inches(columns: int) -> float:
+    return max(PAGE_INCHES, 3.2 * columns) if columns > 1 else 0.6 * PAGE_INCHES
 
 
 def _least_deg(error_deg: np.ndarray) -> float:
@@ -246,16 +273,40 @@ def _loop_axes(axes: Axes, predicted_deg: Sequence[float], true_deg: Sequence[fl
     """Axes ready for a loop of this length, with two empty lines: predicted and true."""
     last = max(len(predicted_deg), len(true_deg), 2) - 1
     axes.set(xlim=(-0.02 * last, 1.02 * last), ylim=(0, 1.08 * max(*predicted_deg, *true_deg, 1.0)), xlabel="moves")
-    axes.yaxis.set_major_formatter(degrees())
+    axes.yaxis.set_major_formatter(_degrees())
     axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
     (true,) = axes.plot([], [], color=_TRUE, marker="o", markersize=5, lw=2.8, label="true angle" if true_deg else "_")
-    (predicted,) = axes.plot([], [], color=_PREDICTED, marker="o", markersize=3, lw=1.2, ls=_DASHES, label="predicted")
+    (predicted,) = axes.plot([], [], color=_PREDICTED, marker="o", markersize=3, lw=1.2, ls=DASHES, label="predicted")
     return predicted, true
+
+
+def colours_of(names: Iterable[str]) -> dict[str, str]:
+    """A colour for each estimator: always the same for those of the package, by the alphabet for others."""
+    names = list(names)
+    others = sorted(set(names) - set(_KNOWN))
+    return {name: _KNOWN.get(name) or _SPARE[others.index(name) % len(_SPARE)] for name in names}
+
+
+def legend(figure: Figure, colours: dict[str, str], more: Sequence[Line2D] = ()) -> None:
+    """The estimators' colours by name, above the panels."""
+    handles = [Line2D([], [], color=colour, lw=2.5, label=name) for name, colour in colours.items()] + list(more)
+    figure.legend(handles=handles, loc="outside upper left", ncols=min(len(handles), 6))
 
 
 def _plain_decades(axes: Axes) -> None:
     """Degrees at whole decades alone, at least two of them."""
-    axes.yaxis.set_major_formatter(degrees())
+    axes.yaxis.set_major_formatter(_degrees())
     axes.yaxis.set_minor_formatter(NullFormatter())
     low, high = axes.get_ylim()
     axes.set_ylim(min(low, 0.095), max(high, 10.5))
+
+
+def _degrees() -> FuncFormatter:
+    return FuncFormatter(lambda degrees, _: f"{degrees:g}°")
+
+
+def svg(figure: Figure) -> str:
+    """The figure as an SVG data URI."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="svg", metadata={"Date": None})
+    return "data:image/svg+xml;base64," + base64.b64encode(buffer.getvalue()).decode()

@@ -13,16 +13,21 @@ from reorient.errors import ReorientError
 from reorient.evaluation import Evaluation, Row, read_config, regenerate
 from reorient.files import replacing
 from reorient.pictures import depth_range, framed, montage, png_data_uri, shade
-from reorient.reporting import figures
+from reorient.reporting import figures, trust
 from reorient.reporting.page import inline_image, page
 from reorient.reporting.rows import estimators, numbers, read_rows
-from reorient.reporting.tables import html_table
+from reorient.reporting.tables import OVERLAP, html_table
 
 _MAIN = 3  # estimators whose pairs are shown
 _SHOWN = 4  # pairs at each end
 _PANEL_PX = 240
 _BY_ANGLE = "Plain error in bins of the start angle; bins of fewer than five pairs are left out."
 _HISTOGRAMS = "Plain error in logarithmic bins, the line at 5°; the first bin also holds all smaller errors."
+_TRUST = (
+    "Left: the share of pairs within 5° (symmetry-aware) against the confidence, by tenths, with Wilson's 95% "
+    "interval; larger dots have more pairs. Right: the share wrong among the surest answers; dotted: were all right "
+    "ones the surest."
+)
 _CUMULATIVE = (
     "The line at 5° marks the share that the table gives. Where dashes leave the line, symmetry is the reason."
 )
@@ -38,8 +43,13 @@ def write_report(folder: str | Path) -> Path:
     objects = len({row["object"] for row in rows})
     by_angle, cumulative = figures.error_by_angle(rows), figures.cumulative_errors(rows)
     histograms = figures.error_histograms(rows)
-    sections = {
-        "Results": html_table(rows),
+    sections = {"Results": html_table(rows)}
+    if any(row["overlap"] for row in rows):
+        sections["By overlap of the views"] = html_table(rows, OVERLAP)
+    if sure := trust.confident(rows):
+        drawn = figures.svg(trust.figure(sure))
+        sections["What the confidence is worth"] = inline_image(drawn, "reliability, risk and coverage", _TRUST)
+    sections |= {
         "Error against angle": inline_image(by_angle, "error against the start angle", _BY_ANGLE),
         "Error histograms": inline_image(histograms, "histograms of the error", _HISTOGRAMS),
         "Cumulative errors": inline_image(cumulative, "share of pairs below an error", _CUMULATIVE),

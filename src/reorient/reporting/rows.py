@@ -13,6 +13,8 @@ from jaxtyping import Float
 from reorient.errors import ReorientError
 from reorient.evaluation import COLUMNS, Row
 
+LATER = ("overlap",)  # columns that rows of an earlier version lack: empty there
+QUARTERS = ((0, 25), (25, 50), (50, 75), (75, 100))  # of the overlap, in percent
 Z95 = 1.959964  # 97.5% point of the normal distribution
 
 
@@ -43,7 +45,8 @@ class Summary:
 
 def read_rows(folder: str | Path) -> list[Row]:
     """The rows of ``rows.csv.gz``. Raises ReorientError where it is missing, broken, empty or lacks columns."""
-    return read_table(Path(folder) / "rows.csv.gz", COLUMNS)
+    rows = read_table(Path(folder) / "rows.csv.gz", [column for column in COLUMNS if column not in LATER])
+    return [dict.fromkeys(LATER, "") | row for row in rows]
 
 
 def read_table(file: Path, columns: Sequence[str]) -> list[Row]:
@@ -105,6 +108,16 @@ def summarise(rows: Sequence[Row], error: str = "error_deg") -> list[Summary]:
     return [
         _summary(names[which], (float(noise), float(low), float(high)), errors_deg[members], seconds[members])
         for (noise, low, high, which), members in sorted(cells.items())
+    ]
+
+
+def by_overlap(rows: Sequence[Row]) -> list[Row]:
+    """The rows whose overlap is known, their range of angles replaced by the quarter of the overlap, in percent."""
+    known = [row for row in rows if row["overlap"]]
+    place = np.minimum(4 * numbers(known, "overlap"), 3).astype(int)
+    return [
+        row | {"low_deg": str(low), "high_deg": str(high)}
+        for row, (low, high) in zip(known, (QUARTERS[x] for x in place), strict=True)
     ]
 
 

@@ -1,6 +1,7 @@
-"""The same table thrice: on the screen, in Markdown, in HTML."""
+"""The same table thrice: on the screen, in Markdown, in HTML; by the angle between the images, or by their overlap."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from html import escape
 from itertools import groupby
 
@@ -8,46 +9,72 @@ from rich.console import Console
 from rich.table import Table
 
 from reorient.evaluation import Row
-from reorient.reporting.rows import Summary, estimators, summarise
+from reorient.reporting.rows import Summary, by_overlap, estimators, summarise
 
 _BELOW5 = "< 5° (95% interval)"
 HEADINGS = (
-    *("noise", "range", "estimator", "pairs", "median°", "mean°", "rms°", "p90°"),
+    *("noise", "", "estimator", "pairs", "median°", "mean°", "rms°", "p90°"),
     *("< 1°", _BELOW5, "< 5° sym.", "ms"),
 )
 _WORDS = 3  # the first columns, set to the left
 _BAR = HEADINGS.index(_BELOW5)
 
 
+@dataclass(frozen=True)
+class Breakdown:
+    """What the rows of one estimator and noise are divided by."""
+
+    heading: str
+    unit: str
+    divide: Callable[[Sequence[Row]], Sequence[Row]]
+    """The rows that can be divided, with the bounds of the division in the columns of the range."""
+    note: str = ""
+
+    @property
+    def headings(self) -> list[str]:
+        """Of the table's columns."""
+        return [heading or self.heading for heading in HEADINGS]
+
+
+RANGE = Breakdown("range", "°", lambda rows: rows)
+OVERLAP = Breakdown(
+    "overlap",
+    "%",
+    by_overlap,
+    " Overlap: share of the goal's visible surface that the start sees too, from rays cast at the mesh; all angles.",
+)
+
+
 def print_tables(rows: Sequence[Row], console: Console) -> None:
-    """One table for each noise level, at most 120 columns wide."""
-    for noise, group in groupby(_lines(rows), key=lambda line: line[1][0]):
-        table = Table(title=f"depth noise {noise}, {_worlds(rows)}", title_justify="left", header_style="bold")
-        for index, heading in enumerate(HEADINGS[1:], start=1):
-            table.add_column(heading, justify="left" if index < _WORDS else "right", no_wrap=True)
-        previous = None
-        for _, cells in group:
-            if previous not in (None, cells[1]):
-                table.add_section()
-            table.add_row(*cells[1:])
-            previous = cells[1]
-        console.print(table)
+    """One table for each noise level by range, and where it is known by overlap, at most 120 columns wide."""
+    for by in (RANGE, OVERLAP):
+        for noise, group in groupby(_lines(rows, by), key=lambda line: line[1][0]):
+            table = Table(title=f"depth noise {noise}, {_worlds(rows)}", title_justify="left", header_style="bold")
+            for index, heading in enumerate(by.headings[1:], start=1):
+                table.add_column(heading, justify="left" if index < _WORDS else "right", no_wrap=True)
+            previous = None
+            for _, cells in group:
+                if previous not in (None, cells[1]):
+                    table.add_section()
+                table.add_row(*cells[1:])
+                previous = cells[1]
+            console.print(table)
     console.print(notes(rows), highlight=False)
 
 
-def markdown_table(rows: Sequence[Row]) -> str:
+def markdown_table(rows: Sequence[Row], by: Breakdown = RANGE) -> str:
     """The table and its notes for RESULTS.md."""
     marks = ["---" if index < _WORDS else "---:" for index in range(len(HEADINGS))]
-    lines = [HEADINGS, marks, *([cell.replace("|", "\\|") for cell in cells] for _, cells in _lines(rows))]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + f"\n\n{notes(rows)}\n"
+    lines = [by.headings, marks, *([cell.replace("|", "\\|") for cell in cells] for _, cells in _lines(rows, by))]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + f"\n\n{notes(rows)}{by.note}\n"
 
 
-def html_table(rows: Sequence[Row]) -> str:
+def html_table(rows: Sequence[Row], by: Breakdown = RANGE) -> str:
     """The table and its notes as HTML, a bar behind each share below 5 degrees."""
-    head = "".join(f"<th{_side(index)}>{escape(heading)}</th>" for index, heading in enumerate(HEADINGS))
+    head = "".join(f"<th{_side(index)}>{escape(heading)}</th>" for index, heading in enumerate(by.headings))
     body = []
     previous: list[str] = []
-    for summary, cells in _lines(rows):
+    for summary, cells in _lines(rows, by):
         columns = [f"<td{_side(index)}>{escape(cell)}</td>" for index, cell in enumerate(cells)]
         columns[_BAR] = f'<td class="bar" style="--share:{100 * summary.within5:.1f}%">{escape(cells[_BAR])}</td>'
         begins = ' class="begins"' if cells[:2] != previous else ""
@@ -55,7 +82,7 @@ def html_table(rows: Sequence[Row]) -> str:
         previous = cells[:2]
     return (
         f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{"".join(body)}</tbody></table></div>'
-        f'<p class="note">{escape(notes(rows))}</p>'
+        f'<p class="note">{escape(notes(rows) + by.note)}</p>'
     )
 
 
@@ -70,14 +97,15 @@ def notes(rows: Sequence[Row]) -> str:
     )
 
 
-def _lines(rows: Sequence[Row]) -> Iterator[tuple[Summary, list[str]]]:
+def _lines(rows: Sequence[Row], by: Breakdown) -> Iterator[tuple[Summary, list[str]]]:
+    rows = by.divide(rows)
     for plain, aware in zip(summarise(rows), summarise(rows, "error_sym_deg"), strict=True):
         low, high = (f"{share:.0%}"[:-1] for share in plain.within5_interval)
         yield (
             plain,
             [
                 f"{plain.noise_mm:g} mm",
-                f"{plain.low_deg:g}–{plain.high_deg:g}°",
+                f"{plain.low_deg:g}–{plain.high_deg:g}{by.unit}",
                 plain.estimator,
                 str(plain.n),
                 *(f"{x:.2f}" for x in (plain.median_deg, plain.mean_deg, plain.rms_deg, plain.p90_deg)),
