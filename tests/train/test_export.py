@@ -8,6 +8,7 @@ from safetensors.torch import save_file
 
 from reorient import so3
 from reorient.errors import ReorientError
+from reorient.estimators import load_estimator
 from reorient.export import export
 from reorient.network import build
 
@@ -37,6 +38,7 @@ def test_onnx_answers_as_torch_does(network, compact, tolerance, tmp_path):
     assert np.abs(answer - expected).max() < tolerance
     one = session.run(None, {"images": images[:1].numpy()})[0]
     assert so3.angle_between(one[0].astype(float), expected[0].astype(float)) < 2 * tolerance
+    assert load_estimator(str(tmp_path / "out.onnx"))._rounds == (3 if name == "swift" else 1)
     size = (tmp_path / "out.onnx").stat().st_size
     assert size < (20e6 if compact else 40e6)
 

@@ -148,14 +148,14 @@ def draw(setting: Setting, folder: Path) -> list[Path]:
     learned = [name for name in names if name.startswith(LEARNED)]
     real = {"real part": {name: numbers(of(shapes, name), "raw_real").tolist() for name in learned}}
     unit = "thousandths of the squared bounding radius"
-    panel = Panel("", against_angle(shapes, "shape_match"), "mean ShapeMatch, thousandths (95% interval)", unit="")
+    panel = Panel("", against_angle(shapes, "shape_match"), "mean ShapeMatch, thousandths", unit="")
     figures = {
         "ShapeMatch against angle": (
             curves([panel], "angle between start and goal"),
             f"Mean ShapeMatch error, {unit}, with its 95% interval.",
         ),
         "ShapeMatch histograms": (
-            histograms(sm, np.linspace(0, 20, 61), f"ShapeMatch, {unit}", unit=""),
+            histograms(sm, np.linspace(0, 5, 61), f"ShapeMatch, {unit}", unit=""),
             "The last bin holds the larger ones.",
         ),
         "Symmetry-aware error histograms": (
@@ -167,8 +167,8 @@ def draw(setting: Setting, folder: Path) -> list[Path]:
         ),
     }  # fmt: skip
     lead = (
-        "All 174 test objects of the full set, symmetric ones among them, world of the paper's simulator, 0 to 30 "
-        f"degrees. Mean loss and ShapeMatch alone: {EPOCHS} epochs (and {FEW_EPOCHS}) each; hybrid: the weights in the "
+        f"{len(set(objects_of(rows)))} test objects of the full set, symmetric ones among them, the paper's world, 0 to "
+        f"30 degrees. Mean loss and ShapeMatch alone: {EPOCHS} epochs (and {FEW_EPOCHS}) each; hybrid: the weights in the "
         "package, of the same number of pairs."
     )
     title = "ShapeMatch on the full set (Figure 7 of the paper)"
