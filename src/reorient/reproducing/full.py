@@ -166,10 +166,11 @@ def draw(setting: Setting, folder: Path) -> list[Path]:
             "The paper says that ShapeMatch alone brings it near zero; the truth is above 0.966 for all pairs.",
         ),
     }  # fmt: skip
+    count = len(set(objects_of(rows)))
     lead = (
-        f"{len(set(objects_of(rows)))} test objects of the full set, symmetric ones among them, the paper's world, 0 to "
-        f"30 degrees. Mean loss and ShapeMatch alone: {EPOCHS} epochs (and {FEW_EPOCHS}) each; hybrid: the weights in the "
-        "package, of the same number of pairs."
+        f"{count} test objects of the full set, symmetric ones among them, the paper's world, 0 to 30 degrees. Mean loss "
+        f"and ShapeMatch alone: {EPOCHS} epochs (and {FEW_EPOCHS}) each; hybrid: the weights in the package, of as many "
+        f"pairs as {EPOCHS} epochs."
     )
     title = "ShapeMatch on the full set (Figure 7 of the paper)"
     return write_page(folder, title, lead, findings(folder), figures, {"Angles": html_table(rows)})
