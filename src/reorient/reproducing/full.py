@@ -168,9 +168,9 @@ def draw(setting: Setting, folder: Path) -> list[Path]:
     }  # fmt: skip
     count = len(set(objects_of(rows)))
     lead = (
-        f"{count} test objects of the full set, symmetric ones among them, the paper's world, 0 to 30 degrees. Mean loss "
-        f"and ShapeMatch alone: {EPOCHS} epochs (and {FEW_EPOCHS}) each; hybrid: the weights in the package, of as many "
-        f"pairs as {EPOCHS} epochs."
+        f"{count} test objects of the full set, symmetric ones among them, the paper's world, 0 to 30 degrees. Mean "
+        f"loss and ShapeMatch alone: {EPOCHS} epochs (and {FEW_EPOCHS}) each; hybrid: the weights in the package, "
+        f"of as many pairs as {EPOCHS} epochs."
     )
     title = "ShapeMatch on the full set (Figure 7 of the paper)"
     return write_page(folder, title, lead, findings(folder), figures, {"Angles": html_table(rows)})
