@@ -224,11 +224,13 @@ def test_object_sets(setting, monkeypatch):
 
 def test_best_worst(setting, monkeypatch):
     monkeypatch.setattr("reorient.reproducing.best_worst.PAIRS", 4)
-    _, _, findings, written = made("best-worst", setting)
+    figure, folder, findings, written = made("best-worst", setting)
     check_written(written)
     assert len(findings) == 6
     for best, worst in zip(findings[::2], findings[1::2], strict=True):
         assert best.value <= worst.value
+    said = verdicts("best-worst", findings, figure, folder, folder)
+    assert said == ["best-worst: not compared, none of its 6 numbers has an interval and a counterpart"]
 
 
 def test_controller_whole_and_quick(setting, monkeypatch, capsys):

@@ -44,7 +44,7 @@ def _print(name: str, findings: Sequence[Finding]) -> None:
 
 
 def verdicts(name: str, part: Sequence[Finding], figure: Figure, whole: Path, folder: Path) -> list[str]:
-    """In lines: the figure as a whole, then each number that differs or cannot be compared.
+    """In lines: the figure as a whole, then each number that differs.
 
     ``whole``: the folder with the rows of the whole figure; ``folder``: with those of the part.
     """
@@ -57,6 +57,8 @@ def verdicts(name: str, part: Sequence[Finding], figure: Figure, whole: Path, fo
     judged = [(finding, full.get(finding.what)) for finding in part]
     compared = [(a, b, held(a, b)) for a, b in judged if b is not None]
     told = [(a, b, holds) for a, b, holds in compared if holds is not None]
+    if not told:
+        return [f"{name}: not compared, none of its {len(part)} numbers has an interval and a counterpart"]
     failed = [f"  differs: {a.what}: {_said(a)}, whole {_said(b)}" for a, b, holds in told if not holds]
     without = len(part) - len(told)
     missing = f"; {without} have no interval or no counterpart" if without else ""
