@@ -44,6 +44,8 @@ ROOMS = [
     "perception",
     "stations.base",
     "stations",
+    "recognition",
+    "controller.base",
     "controller",
     "evaluation",
     "judging",
@@ -58,7 +60,8 @@ ROOMS = [
     "",  # the package itself
 ]
 NEVER = {"estimators": {"meshes", "shapes", "objects", "rendering", "sensing", "symmetry", "paper_filter"}}
-ONLY = {"controller": {"errors", "so3", "depth", "estimators.base", "stations.base"}}
+_INTERFACES = {"errors", "so3", "depth", "estimators.base", "stations.base", "recognition", "controller.base"}
+ONLY = {room: _INTERFACES | {room} for room in ("controller", "controller.base")}
 
 
 def room_of(module: str) -> str:
