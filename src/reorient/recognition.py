@@ -6,7 +6,7 @@ its front. So the object is its own yardstick, whatever the camera's noise and t
 """
 
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import pairwise, permutations
 
 import numpy as np
 from jaxtyping import Float
@@ -17,8 +17,10 @@ from reorient.estimators.evidence import View, size_m, weigh
 from reorient.planes import fit_planes
 
 POINTS = 1500  # of each image
+MOST_CAPTURES = 4  # the latest
 TOLERANCE = 0.012  # depth difference that still fits, in sizes
-NEUTRAL, UNIT = -0.01, 0.006  # fit beyond its own measure that says nothing either way; what adds one to the log odds
+NEUTRAL, UNIT = -0.06, 0.05  # difference of fit, over misfit, that says nothing either way; that adds one to the log odds
+LEAST_MISFIT = 0.05  # even where two captures fit all over
 MOST = 6.0  # log odds that one place can add or take
 ALIGNED_COS = np.cos(np.radians(20))
 
@@ -26,17 +28,18 @@ ALIGNED_COS = np.cos(np.radians(20))
 def likeness(captures: Sequence[DepthImage], goal: DepthImage, estimates: Sequence[RotationEstimate]) -> float:
     """Log odds that a pose is the goal's, from two or more captures of it, each with its estimate of what is missing.
 
-    It rests on the share of points that fit. A goal without the gripper fits its like even better than captures fit each
-    other, as only one of the two images hides something.
+    It rests on the share of points that fit: of the goal under the estimates, and of one capture on the next under what
+    two estimates make of the motion between them, which should be none. So both bear the errors of estimates; of each
+    the best counts, as a single estimate may be off by degrees.
     """
-    views, target = [View(image, POINTS) for image in captures], View(goal, POINTS)
+    views, target = [View(image, POINTS) for image in captures[-MOST_CAPTURES:]], View(goal, POINTS)
     tolerance_m = TOLERANCE * max(size_m(views[0].all_points_m), size_m(target.all_points_m))
-    own = [weigh(a, b, np.eye(3), np.zeros(3), tolerance_m).fit for a, b in pairwise(views)]
-    others = [
-        weigh(view, target, estimate.R_goal_current, estimate.t_goal_current_m, tolerance_m).fit
-        for view, estimate in zip(views, estimates, strict=True)
-    ]
-    return float(np.clip((np.mean(others) - np.mean(own) - NEUTRAL) / UNIT, -MOST, MOST))
+    motions = [(x.R_goal_current, x.t_goal_current_m) for x in estimates[-MOST_CAPTURES:]]
+    others = [max(weigh(view, target, R, t_m, tolerance_m).fit for R, t_m in motions) for view in views]
+    between = [(Rb.T @ Ra, Rb.T @ (ta_m - tb_m)) for (Ra, ta_m), (Rb, tb_m) in permutations(motions, 2)]
+    own = [max(weigh(a, b, R, t_m, tolerance_m).fit for R, t_m in between) for a, b in pairwise(views)]
+    beyond = (np.mean(others) - np.mean(own)) / (1 + LEAST_MISFIT - np.mean(own))
+    return float(np.clip((beyond - NEUTRAL) / UNIT, -MOST, MOST))
 
 
 def upright_axes(image: DepthImage) -> Float[np.ndarray, "3 3"]:

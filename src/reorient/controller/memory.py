@@ -21,7 +21,7 @@ NEAR_RAD = float(np.radians(8))  # so near, a pose stands for the candidate
 SAME_RAD = float(np.radians(15))  # claims so near each other are one candidate
 NEW_VIEW_RAD = float(np.radians(10))  # poses turned by less show the same, and err alike
 LEAST, RIVALS = 0.02, 10  # a claim that is not named: its share, one in so many, of what is left, at the least this
-DENIED = -2.0  # log odds of a pose from which the estimator wants to be off
+DENIED = -6.0  # log odds of a pose from which all estimates want to be off
 REFUTED = -2.0  # log odds of a likeness below which an arrival is false
 FAR_AGAINST = -4.0  # log odds, at the most, that views from elsewhere hold against a candidate: they err alike
 DRIFT = 0.05  # radians of error that a claim may gain per radian turned
@@ -136,7 +136,10 @@ def candidates(seen: Sequence[Stand]) -> list[Candidate]:
 
 def confidence(here: Stand) -> float:
     """How likely a pose is the goal's: the estimator's own confidence there, and the likeness."""
-    own = [claims(estimate)[0][1] for estimate in here.estimates]
+    own = []
+    for estimate in here.estimates:
+        near = [probability for R, probability in claims(estimate) if float(so3.angle(R)) <= SAME_RAD]
+        own.append(max(near, default=LEAST))
     odds = float(np.mean([np.log(p / (1 - p)) for p in np.clip(own, LEAST, 1 - LEAST)])) + (here.likeness or 0.0)
     return float(1 / (1 + np.exp(-odds)))
 
