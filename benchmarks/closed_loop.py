@@ -96,25 +96,35 @@ def _rows(
     config: ClosedLoop, name: str, noise_mm: float, start_deg: float, index: int, known: set[tuple[str, ...]]
 ) -> Iterator[dict[str, str]]:
     for system in config.systems:
-        key = (name, str(index), f"{noise_mm:g}", f"{start_deg:g}", f"{config.slack_deg:g}", f"{config.faults:g}", system)
+        key = (
+            name,
+            str(index),
+            f"{noise_mm:g}",
+            f"{start_deg:g}",
+            f"{config.slack_deg:g}",
+            f"{config.faults:g}",
+            system,
+        )
         if key not in known:
             yield dict(zip(KEY, key, strict=True)) | _loop(config, name, noise_mm, start_deg, index, system)
 
 
-def _loop(
-    config: ClosedLoop, name: str, noise_mm: float, start_deg: float, index: int, system: str
-) -> dict[str, str]:
+def _loop(config: ClosedLoop, name: str, noise_mm: float, start_deg: float, index: int, system: str) -> dict[str, str]:
     """One loop from one start."""
     rng = np.random.default_rng([zlib.crc32(name.encode()), index])
     mesh, group = _object(config.source, name)
     station = RenderedStation(mesh, load_world("benchmark"), randomised(noise_mm / 1000), rng)
     goal, R_goal = station.capture_goal(), station.R_camera_object
     turn = np.radians(start_deg)
-    away = so3.matrix_from_quat(so3.sample_bounded(rng, 1, turn, turn))[0] if start_deg else so3.sample_uniform(rng, 1)[0]
+    away = (
+        so3.matrix_from_quat(so3.sample_bounded(rng, 1, turn, turn))[0] if start_deg else so3.sample_uniform(rng, 1)[0]
+    )
     station.rotate(away)
 
     def left_deg() -> float:
-        return float(np.degrees(symmetric_error(group, np.eye(3), R_goal @ station.R_camera_object.T, station.R_camera_object)))
+        return float(
+            np.degrees(symmetric_error(group, np.eye(3), R_goal @ station.R_camera_object.T, station.R_camera_object))
+        )
 
     seen = FaultyStation(station, np.random.default_rng([index, 1]), config.faults, np.radians(config.slack_deg))
     angle_deg, begin = left_deg(), time.process_time()

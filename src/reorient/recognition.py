@@ -19,7 +19,10 @@ from reorient.planes import fit_planes
 POINTS = 1500  # of each image
 MOST_CAPTURES = 4  # the latest
 TOLERANCE = 0.012  # depth difference that still fits, in sizes
-NEUTRAL, UNIT = -0.06, 0.05  # difference of fit, over misfit, that says nothing either way; that adds one to the log odds
+NEUTRAL, UNIT = (
+    -0.06,
+    0.05,
+)  # difference of fit, over misfit, that says nothing either way; that adds one to the log odds
 LEAST_MISFIT = 0.05  # even where two captures fit all over
 MOST = 6.0  # log odds that one place can add or take
 ALIGNED_COS = np.cos(np.radians(20))

@@ -93,9 +93,7 @@ def claims(estimate: RotationEstimate) -> list[tuple[Float[np.ndarray, "3 3"], f
     return [(estimate.R_goal_current, min(first, max(1 - rest, LEAST))), *estimate.alternatives]
 
 
-def nearest(
-    estimate: RotationEstimate, R: Float[np.ndarray, "3 3"]
-) -> tuple[Float[np.ndarray, "3 3"], float]:
+def nearest(estimate: RotationEstimate, R: Float[np.ndarray, "3 3"]) -> tuple[Float[np.ndarray, "3 3"], float]:
     """Of the rotations that an estimate names the one nearest to R, and how far it is."""
     named = np.stack([R_named for R_named, _ in claims(estimate)])
     away = so3.angle_difference(named, R)
@@ -177,9 +175,7 @@ def _given(candidate: Candidate, seen: Sequence[Stand], view: Sequence[int]) -> 
     return given
 
 
-def average(
-    steps: Sequence[Step], R_goal_now: Float[np.ndarray, "3 3"]
-) -> tuple[Float[np.ndarray, "3 3"], float]:
+def average(steps: Sequence[Step], R_goal_now: Float[np.ndarray, "3 3"]) -> tuple[Float[np.ndarray, "3 3"], float]:
     """The missing rotation by all captures near a candidate, and its standard error in radians.
 
     A geometric median, as single estimates may be off by degrees; what was seen before larger turns counts less.
