@@ -16,7 +16,16 @@ from jaxtyping import Float
 
 from reorient import so3
 from reorient.controller.base import Decision, Reachable, Step, known_part, rotations_since
-from reorient.controller.memory import NEAR_RAD, Candidate, average, candidates, confidence, stands
+from reorient.controller.memory import (
+    NEAR_RAD,
+    Candidate,
+    Stand,
+    arrival_log_odds,
+    average,
+    candidates,
+    nearest,
+    stands,
+)
 from reorient.depth import DepthImage
 from reorient.errors import ReorientError
 
@@ -24,6 +33,9 @@ FIRST_RAD = float(np.radians(1))  # from farther, the first capture of a place i
 MOST_LOOKS = 6  # captures of the last place
 STEADY_RAD = float(np.radians(0.12))  # the average's standard error that needs no more looks
 EQUIVALENT = 0.4  # of the likeliest candidate's probability: as good, and taken if nearer
+SURE_FROM_AFAR = 0.95  # what a view from elsewhere gives, so that no rival need be seen
+NAMED = 0.2  # what makes an alternative a rival
+RESERVED = 3  # moves kept for the way back to the best and the last small ones
 LEAST_SURE = 0.5  # below this the loop ends without claiming the goal
 
 
@@ -55,39 +67,73 @@ class Fusing:
         return [(step.image, R) for step, R in zip(known, rotations_since(known), strict=True)]
 
     def decide(self, steps: Sequence[Step], goal: DepthImage, reachable: Reachable) -> Decision:
-        """Go on to the likeliest candidate, look again, make the last small move, or end."""
+        """Examine an arrival, go on to the likeliest candidate, see a rival, make the last small move, or end."""
         known = known_part(steps)
         seen = stands(known, goal)
-        best = _nearest_of_the_best(candidates(seen), reachable)
+        found = candidates(seen)
         moves_left = self.most_moves - sum(step.R_step is not None for step in steps)
         looks_left = self.max_steps - len(steps)
-        if best.angle_rad > NEAR_RAD:
+        here = _here(found, seen[-1])
+        looks = len(seen[-1].images)
+        if here is not None and looks < 2 and looks_left > 0:
+            return _examine(here, known, moves_left)
+        last = min(moves_left, looks_left - MOST_LOOKS) <= RESERVED
+        choice = [x for x in found if x is here or x.angle_rad > NEAR_RAD]
+        if last:  # no more experiments: of the poses that were examined the best, if there is one
+            choice = [x for x in choice if x.examined] or [x for x in choice if not x.guessed]
+        best = _nearest_of_the_best(choice, reachable) if choice else None
+        if best is None or best is not here:
             return _approach(best, min(moves_left, looks_left))
-        here = seen[-1]
         R_goal_now, error_rad = average(known, best.R_goal_now)
         angle_rad = float(so3.angle(R_goal_now))
         degrees = f"{np.degrees(angle_rad):.2f} degrees"
-        if len(here.images) < 2 and moves_left > 0 and angle_rad > FIRST_RAD:
-            return Decision(f"near ({best.share:.0%} sure): turns by the {degrees} that are left", R_goal_now)
-        if looks_left > 0 and (len(here.images) < 2 or (error_rad > STEADY_RAD and len(here.images) < MOST_LOOKS)):
+        if looks_left > 0 and error_rad > STEADY_RAD and looks < MOST_LOOKS:
             return Decision(f"{degrees} seem left, give or take {np.degrees(error_rad):.2f}: looks again")
-        close = angle_rad <= max(self.tolerance_rad, error_rad)
-        if not close and moves_left > 0 and looks_left > 0:
-            return Decision(f"{len(here.images)} looks agree on {degrees}: turns by them", R_goal_now)
-        sure = confidence(here)
+        rival = None if last else _rival(best, found, seen, reachable)
+        if rival is not None:
+            turn = f"{np.degrees(rival.angle_rad):.0f} degrees"
+            why = "a half turn of it" if rival.guessed else f"another orientation ({rival.support:.0%} by one view)"
+            return Decision(f"this looks like the goal, but {why} might, too: turns by {turn} to see", rival.R_goal_now)
+        if angle_rad > max(self.tolerance_rad, error_rad) and moves_left > 0 and looks_left > 0:
+            return Decision(f"{looks} looks agree on {degrees}: turns by them", R_goal_now)
+        sure = min(best.share, float(1 / (1 + np.exp(-arrival_log_odds(seen[-1])))))
         said = f"{degrees} are left, give or take {np.degrees(error_rad):.2f}; {sure:.0%} sure"
         if sure < LEAST_SURE:
-            said += "; nothing that was tried matches the goal as well as the object matches itself"
+            said += "; nothing that was tried surely matches the goal, and this is the likeliest"
         return Decision(said, None, True, sure >= LEAST_SURE, sure)
 
 
-def _approach(best: Candidate, moves_left: int) -> Decision:
+def _here(found: Sequence[Candidate], stand: Stand) -> Candidate | None:
+    """The candidate that the present pose stands for, if an estimate names it from here."""
+    if min(nearest(estimate, np.eye(3))[1] for estimate in stand.estimates) > NEAR_RAD:
+        return None
+    return min(found, key=lambda candidate: candidate.angle_rad)
+
+
+def _examine(here: Candidate, known: Sequence[Step], moves_left: int) -> Decision:
+    """The first look at an arrival: come closer, once, then look again."""
+    R_goal_now, _ = average(known, here.R_goal_now)
+    angle_rad = float(so3.angle(R_goal_now))
+    came = [float(so3.angle(step.R_executed)) for step in known if step.R_executed is not None][-1:]
+    degrees = f"{np.degrees(angle_rad):.2f} degrees"
+    if angle_rad > FIRST_RAD and moves_left > 0 and (not came or came[0] > NEAR_RAD):
+        return Decision(f"near what may be the goal: turns by the {degrees} that are left", R_goal_now)
+    return Decision(f"this may be the goal, but for {degrees}: looks again")
+
+
+def _approach(best: Candidate | None, moves_left: int) -> Decision:
     """A full move to a candidate that is not near."""
+    if best is None:
+        return Decision("nothing is left to try, and nothing matched the goal", ends=True, confidence=0.0)
     turn = f"{np.degrees(best.angle_rad):.0f} degrees"
     if moves_left <= 0:
         said = f"no orientation was found that surely matches the goal; the likeliest is {turn} from here"
         return Decision(said, ends=True, confidence=0.0)
-    why = "a half turn of a false arrival" if best.guessed else "the likeliest orientation"
+    why = "the likeliest orientation"
+    if best.visits:
+        why = "back to the likeliest orientation"
+    elif best.guessed:
+        why = "a half turn of an arrival"
     return Decision(f"{why} ({best.share:.0%} likely): turns by {turn}", best.R_goal_now)
 
 
@@ -96,3 +142,20 @@ def _nearest_of_the_best(found: Sequence[Candidate], reachable: Reachable) -> Ca
     good = [x for x in found if x.share >= EQUIVALENT * found[0].share]
     good.sort(key=lambda candidate: candidate.angle_rad)
     return next((x for x in good if x.angle_rad <= NEAR_RAD or reachable(x.R_goal_now)), good[0])
+
+
+def _rival(
+    best: Candidate, found: Sequence[Candidate], seen: Sequence[Stand], reachable: Reachable
+) -> Candidate | None:
+    """What should be seen before the best is believed, as no view from elsewhere was sure of it: what other views named,
+    then half turns."""
+    far = [p for k, given in best.named.items() for p in given if not _at(best, seen[k])]
+    if max(far, default=0.0) >= SURE_FROM_AFAR or (not far and len(seen) <= 1):
+        return None
+    rivals = [x for x in found if not x.visits and (x.guessed or x.support >= NAMED) and reachable(x.R_goal_now)]
+    return max(rivals, key=lambda x: (not x.guessed, x.support, -x.angle_rad), default=None)
+
+
+def _at(candidate: Candidate, stand: Stand) -> bool:
+    """Whether a pose stands for a candidate."""
+    return float(so3.angle(candidate.R_goal_now @ stand.R_now_then)) <= NEAR_RAD

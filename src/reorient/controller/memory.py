@@ -55,9 +55,17 @@ class Candidate:
     named: dict[int, list[float]] = field(default_factory=dict)
     """By stand, what each of its estimates gives it."""
     visits: int = 0
+    """How many poses stood for it."""
+    examined: bool = False
+    """Whether one of them was looked at twice."""
     log_weight: float = 0.0
     share: float = 0.0
     """Its weight among all candidates."""
+
+    @property
+    def support(self) -> float:
+        """The most that an estimate from elsewhere gives it."""
+        return max((max(given) for given in self.named.values()), default=0.0)
 
     @property
     def angle_rad(self) -> float:
@@ -101,45 +109,50 @@ def nearest(estimate: RotationEstimate, R: Float[np.ndarray, "3 3"]) -> tuple[Fl
 
 
 def candidates(seen: Sequence[Stand]) -> list[Candidate]:
-    """All orientations that estimates name or false arrivals suggest, the likeliest first."""
+    """All orientations that estimates name or half turns of arrivals suggest, the likeliest first."""
     found: list[Candidate] = []
     for k in range(len(seen) - 1, -1, -1):  # the latest first: its rotations have drifted least
         for estimate in seen[k].estimates:
             for R, probability in claims(estimate):
                 _claim(found, R @ seen[k].R_now_then.T).named.setdefault(k, []).append(probability)
     for stand in seen:
-        if stand.refuted:
-            for axis in upright_axes(stand.images[-1]):
-                R = so3.exp(np.pi * axis) @ stand.R_now_then.T
-                guess = _claim(found, R)
+        if stand.likeness is not None:
+            for axis in upright_axes(stand.images[0]):
+                guess = _claim(found, so3.exp(np.pi * axis) @ stand.R_now_then.T)
                 guess.guessed = not guess.named
     for view in _views(seen):
         for candidate in found:
             candidate.log_weight += float(np.mean(np.log(_given(candidate, seen, view))))
     most = max(candidate.log_weight for candidate in found)
     for candidate in found:
-        candidate.log_weight = max(candidate.log_weight - most, FAR_AGAINST)
-        if candidate.guessed:
-            candidate.log_weight = FAR_AGAINST
-        for stand in seen:
-            if float(so3.angle(candidate.R_goal_now @ stand.R_now_then)) <= NEAR_RAD:
-                candidate.visits += 1
-                denied = min(nearest(e, np.eye(3))[1] for e in stand.estimates) > NEAR_RAD
-                candidate.log_weight += DENIED if denied else (stand.likeness or 0.0)
+        far = FAR_AGAINST if candidate.guessed else max(candidate.log_weight - most, FAR_AGAINST)
+        visits = [s for s in seen if float(so3.angle(candidate.R_goal_now @ s.R_now_then)) <= NEAR_RAD]
+        candidate.visits = len(visits)
+        candidate.examined = any(stand.likeness is not None for stand in visits)
+        candidate.log_weight = far + _standing_there(visits)
     weights = np.exp([candidate.log_weight for candidate in found])
     for candidate, share in zip(found, weights / weights.sum(), strict=True):
         candidate.share = float(share)
     return sorted(found, key=lambda candidate: -candidate.log_weight)
 
 
-def confidence(here: Stand) -> float:
-    """How likely a pose is the goal's: the estimator's own confidence there, and the likeness."""
+def _standing_there(visits: Sequence[Stand]) -> float:
+    """What poses add to the log odds of the candidate that they stand for: the mean of those looked at twice, as they
+    err alike; where no estimate stays, a denial."""
+    looked = [arrival_log_odds(stand) for stand in visits if stand.likeness is not None]
+    if looked:
+        return float(np.mean(looked))
+    denied = [min(nearest(e, np.eye(3))[1] for e in stand.estimates) > NEAR_RAD for stand in visits]
+    return DENIED if any(denied) else 0.0
+
+
+def arrival_log_odds(here: Stand) -> float:
+    """That a pose is the goal's: the estimator's own confidence there, and the likeness."""
     own = []
     for estimate in here.estimates:
         near = [probability for R, probability in claims(estimate) if float(so3.angle(R)) <= SAME_RAD]
-        own.append(max(near, default=LEAST))
-    odds = float(np.mean([np.log(p / (1 - p)) for p in np.clip(own, LEAST, 1 - LEAST)])) + (here.likeness or 0.0)
-    return float(1 / (1 + np.exp(-odds)))
+        own.append(np.clip(max(near, default=0.0), LEAST, 1 - LEAST / 2))
+    return float(np.mean(np.log(own) - np.log1p(-np.array(own)))) + (here.likeness or 0.0)
 
 
 def _claim(found: list[Candidate], R_goal_now: Float[np.ndarray, "3 3"]) -> Candidate:
