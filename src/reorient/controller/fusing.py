@@ -34,6 +34,7 @@ MOST_LOOKS = 6  # captures of the last place
 STEADY_RAD = float(np.radians(0.12))  # the average's standard error that needs no more looks
 EQUIVALENT = 0.4  # of the likeliest candidate's probability: as good, and taken if nearer
 SURE_FROM_AFAR = 0.95  # what a view from elsewhere gives, so that no rival need be seen
+SURE_HERE = 0.985  # what the arrival itself gives, to the same end
 NAMED = 0.2  # what makes an alternative a rival
 RESERVED = 3  # moves kept for the way back to the best and the last small ones
 LEAST_SURE = 0.5  # below this the loop ends without claiming the goal
@@ -82,6 +83,11 @@ class Fusing:
         if last:  # no more experiments: of the poses that were examined the best, if there is one
             choice = [x for x in choice if x.examined] or [x for x in choice if not x.guessed]
         best = _nearest_of_the_best(choice, reachable) if choice else None
+        rival = _rival(best, found, seen, reachable) if best is not None and not last else None
+        if rival is not None:
+            turn = f"{np.degrees(rival.angle_rad):.0f} degrees"
+            why = "a half turn of it" if rival.guessed else f"another orientation ({rival.support:.0%} by one view)"
+            return Decision(f"what was found may be the goal, but {why} may, too: turns by {turn}", rival.R_goal_now)
         if best is None or best is not here:
             return _approach(best, min(moves_left, looks_left))
         R_goal_now, error_rad = average(known, best.R_goal_now)
@@ -89,11 +95,6 @@ class Fusing:
         degrees = f"{np.degrees(angle_rad):.2f} degrees"
         if looks_left > 0 and error_rad > STEADY_RAD and looks < MOST_LOOKS:
             return Decision(f"{degrees} seem left, give or take {np.degrees(error_rad):.2f}: looks again")
-        rival = None if last else _rival(best, found, seen, reachable)
-        if rival is not None:
-            turn = f"{np.degrees(rival.angle_rad):.0f} degrees"
-            why = "a half turn of it" if rival.guessed else f"another orientation ({rival.support:.0%} by one view)"
-            return Decision(f"this looks like the goal, but {why} might, too: turns by {turn} to see", rival.R_goal_now)
         if angle_rad > max(self.tolerance_rad, error_rad) and moves_left > 0 and looks_left > 0:
             return Decision(f"{looks} looks agree on {degrees}: turns by them", R_goal_now)
         sure = min(best.share, float(1 / (1 + np.exp(-arrival_log_odds(seen[-1])))))
@@ -147,10 +148,15 @@ def _nearest_of_the_best(found: Sequence[Candidate], reachable: Reachable) -> Ca
 def _rival(
     best: Candidate, found: Sequence[Candidate], seen: Sequence[Stand], reachable: Reachable
 ) -> Candidate | None:
-    """What should be seen before the best is believed, as no view from elsewhere was sure of it: what other views named,
-    then half turns."""
-    far = [p for k, given in best.named.items() for p in given if not _at(best, seen[k])]
-    if max(far, default=0.0) >= SURE_FROM_AFAR or (not far and len(seen) <= 1):
+    """What should be seen before the best is believed: what other views named, then half turns. Nothing, where it has
+    been examined and leaves no doubt."""
+    poses = [stand for stand in seen if _at(best, stand) and stand.likeness is not None]
+    if not poses:
+        return None
+    afar = [p for k, given in best.named.items() for p in given if not _at(best, seen[k])]
+    own = np.mean([stand.confidence for stand in poses])
+    matches = np.mean([arrival_log_odds(stand) for stand in poses]) > 0
+    if matches and (own >= SURE_HERE or max(afar, default=1.0) >= SURE_FROM_AFAR):
         return None
     rivals = [x for x in found if not x.visits and (x.guessed or x.support >= NAMED) and reachable(x.R_goal_now)]
     return max(rivals, key=lambda x: (not x.guessed, x.support, -x.angle_rad), default=None)

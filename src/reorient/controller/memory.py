@@ -22,7 +22,6 @@ SAME_RAD = float(np.radians(15))  # claims so near each other are one candidate
 NEW_VIEW_RAD = float(np.radians(10))  # poses turned by less show the same, and err alike
 LEAST, RIVALS = 0.02, 10  # a claim that is not named: its share, one in so many, of what is left, at the least this
 DENIED = -6.0  # log odds of a pose from which all estimates want to be off
-REFUTED = -2.0  # log odds of a likeness below which an arrival is false
 FAR_AGAINST = -4.0  # log odds, at the most, that views from elsewhere hold against a candidate: they err alike
 DRIFT = 0.05  # radians of error that a claim may gain per radian turned
 SPREAD_RAD = float(np.radians(0.3))  # of one estimate near the goal
@@ -40,9 +39,10 @@ class Stand:
     """Log odds that this pose is the goal's; None unless it is near the goal by its estimates, and was captured twice."""
 
     @property
-    def refuted(self) -> bool:
-        """Whether it was a false arrival."""
-        return self.likeness is not None and self.likeness < REFUTED
+    def confidence(self) -> float:
+        """What the estimates give this pose, on average."""
+        near = [[p for R, p in claims(estimate) if float(so3.angle(R)) <= SAME_RAD] for estimate in self.estimates]
+        return float(np.mean([max(given, default=0.0) for given in near]))
 
 
 @dataclass(eq=False)
@@ -148,11 +148,8 @@ def _standing_there(visits: Sequence[Stand]) -> float:
 
 def arrival_log_odds(here: Stand) -> float:
     """That a pose is the goal's: the estimator's own confidence there, and the likeness."""
-    own = []
-    for estimate in here.estimates:
-        near = [probability for R, probability in claims(estimate) if float(so3.angle(R)) <= SAME_RAD]
-        own.append(np.clip(max(near, default=0.0), LEAST, 1 - LEAST / 2))
-    return float(np.mean(np.log(own) - np.log1p(-np.array(own)))) + (here.likeness or 0.0)
+    own = np.clip(here.confidence, LEAST, 1 - LEAST / 2)
+    return float(np.log(own / (1 - own))) + (here.likeness or 0.0)
 
 
 def _claim(found: list[Candidate], R_goal_now: Float[np.ndarray, "3 3"]) -> Candidate:
