@@ -1,11 +1,11 @@
 """The closed loop: how close, how many moves, and whether failures are announced. Raw rows, then a table on screen.
 
     python benchmarks/closed_loop.py out/loops --meshes FOLDER --only NAMES --systems default/fusing --starts-deg 30 0
-    python benchmarks/closed_loop.py out/faults --meshes FOLDER --only NAMES --systems default/fusing --faults 0.1
+    python benchmarks/closed_loop.py out/faults --meshes FOLDER --only NAMES --faults 0.1 --systems default/fusing
 
-A start of 0 degrees means any rotation, uniform over SO(3). The goal image is unoccluded, each current image bears a new
-rectangle, and the pivot is up to 1 cm wrong along each axis. Every system meets the same starts. Errors are symmetry-aware
-and of the true pose. A run that is interrupted goes on where it stopped.
+A start of 0 degrees means any rotation, uniform over SO(3). The goal image is unoccluded, each current image bears a
+new rectangle, and the pivot is up to 1 cm wrong along each axis. Every system meets the same starts. Errors are
+symmetry-aware and of the true pose. A run that is interrupted goes on where it stopped; one folder holds all systems.
 """
 
 import csv
@@ -61,7 +61,7 @@ class ClosedLoop:
     """Angles between start and goal; 0: any rotation."""
     noise_mm: tuple[float, ...] = (1.0,)
     slack_deg: float = 0.0
-    """Error of an executed rotation of 30 degrees or more, unknown to the robot; less in proportion for smaller ones."""
+    """Error of a turn of 30 degrees or more, unknown to the robot; less in proportion for smaller ones."""
     faults: float = 0.0
     """Chance of a fault at each capture and each move, of every kind that a station knows."""
     symmetric: bool = False
@@ -156,15 +156,16 @@ def summarise(rows: list[dict[str, str]]) -> None:
         sure = np.array([row["converged"] == "1" and float(row["confidence"] or 1) >= 0.5 for row in chosen])
         failed = final > 1
         told = f"{np.mean(~sure[failed]):.0%} of {failed.sum()}" if failed.any() else "none failed"
+        where = f"start {'any' if start == '0' else start + ' degrees'}, {noise} mm"
+        where += f", slack {slack}" * (slack != "0") + f", faults {faults}" * (faults != "0")
+        shares = ", ".join(f"{np.mean(final <= limit):.1%} within {limit:g}" for limit in (0.6, 1, 5))
+        seconds = np.mean([float(row["seconds"]) for row in chosen])
         print(
-            f"{system}, start {'any' if start == '0' else start + ' degrees'}, {noise} mm"
-            + (f", slack {slack}" if slack != "0" else "")
-            + (f", faults {faults}" if faults != "0" else "")
-            + f", n={len(final)}: final error median {np.median(final):.2f}, p90 {np.percentile(final, 90):.2f}; "
-            + ", ".join(f"{np.mean(final <= limit):.1%} within {limit:g}" for limit in (0.6, 1, 5))
-            + f"; above 30: {np.mean(final > 30):.1%}; moves median {np.median(moves):.0f}, at most {moves.max()}; images "
-            f"median {np.median(images):.0f}; failures announced (above 1 degree): {told}; falsely converged above 5 "
-            f"degrees: {np.mean(sure & (final > 5)):.1%}; {np.mean([float(row['seconds']) for row in chosen]):.1f} s (CPU) a loop"
+            f"{system}, {where}, n={len(final)}: final error median {np.median(final):.2f}, "
+            f"p90 {np.percentile(final, 90):.2f} degrees; {shares}; above 30: {np.mean(final > 30):.1%}; "
+            f"moves median {np.median(moves):.0f}, at most {moves.max()}; images median {np.median(images):.0f}; "
+            f"failures announced (above 1 degree): {told}; falsely converged above 5 degrees: "
+            f"{np.mean(sure & (final > 5)):.1%}; {seconds:.1f} s (CPU) a loop"
         )
 
 

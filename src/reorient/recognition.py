@@ -62,7 +62,7 @@ def upright_axes(image: DepthImage) -> Float[np.ndarray, "3 3"]:
     axes.append(_mean_axis(across, some[np.argmax((np.abs(across @ some.T) > ALIGNED_COS).sum(axis=0))]))
     axes[1] = axes[1] - (axes[1] @ axes[0]) * axes[0]
     axes[1] /= np.linalg.norm(axes[1])
-    return np.stack([*axes, np.cross(*axes)])
+    return np.stack([*axes, np.cross(axes[0], axes[1])])
 
 
 def _mean_axis(directions: Float[np.ndarray, "n 3"], axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:

@@ -12,8 +12,8 @@ from reorient.errors import ReorientError
 from reorient.files import make_folder
 
 if TYPE_CHECKING:
-    from reorient.depth import Camera, DepthImage
     from reorient.controller import Limits, Strategy
+    from reorient.depth import Camera, DepthImage
     from reorient.estimators.base import RotationEstimate
     from reorient.stations.base import Station
 
@@ -298,7 +298,7 @@ class Orient:
 class Replay:
     """Run a recorded loop again, without its station: the same frames and answers, the decisions made anew.
 
-    For example: reorient orient goal.npz --turn-deg 120 --record out/record && reorient replay out/record --out out/replay
+    For example: reorient orient goal.npz --turn-deg 120 --record out/record && reorient replay out/record
     """
 
     record: Positional[Path]

@@ -100,12 +100,14 @@ class _Loop:
             image = self.station.capture()
             self.refuse_stale(image)
         except Exception as error:  # a driver may raise anything; the record must survive it
-            return self.failed(f"the station failed to capture: {_said(error)}")
+            self.failed(f"the station failed to capture: {_said(error)}")
+            return None
         try:
             history = self.strategy.recalled(self.steps) if self.strategy else []
             estimate = self.estimator.estimate(image, self.goal, self.pivot_m, history)
         except Exception as error:
-            return self.failed(f"the estimator failed: {_said(error)}")
+            self.failed(f"the estimator failed: {_said(error)}")
+            return None
         if self.strategy is None:
             self.strategy = Proportional() if estimate.confidence is None else Fusing()
         return image, estimate

@@ -36,7 +36,7 @@ class Stand:
     R_now_then: Float[np.ndarray, "3 3"]
     """What has turned the object since."""
     likeness: float | None
-    """Log odds that this pose is the goal's; None unless it is near the goal by its estimates, and was captured twice."""
+    """Log odds that this pose is the goal's; None unless its estimates stay near it, and it was captured twice."""
 
     @property
     def confidence(self) -> float:

@@ -37,8 +37,8 @@ class FaultyStation:
         planned: Sequence[str] = (),
     ) -> None:
         """``chance`` of a fault at each capture and move. ``slack_rad``: error of each turn of 30 degrees or more,
-        unknown to the robot, about a random axis; less in proportion for smaller ones. ``planned``: faults to come, each
-        at the next capture or move that it fits, the first left alone."""
+        unknown to the robot, about a random axis; less in proportion for smaller ones. ``planned``: faults to come,
+        each at the next capture or move that it fits, the first left alone."""
         self._station, self._rng, self._chance, self._slack_rad = station, rng, chance, slack_rad
         self._planned = list(planned)
         self._before: DepthImage | None = None

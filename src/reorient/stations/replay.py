@@ -99,13 +99,18 @@ class ReplayedStation:
             self.record: dict[str, Any] = json.loads((self._folder / "record.json").read_text())
             self._acts = list(self.record["acts"])
             pivot = self.record["pivot_m"]
-            self.pivot_m: Float[np.ndarray, "3"] | None = None if pivot is None else np.array(pivot, float)
+            self._pivot_m = None if pivot is None else np.array(pivot, float)
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise ReorientError(
                 f"no record in {str(folder)!r} ({error}): expected what `reorient orient --record` wrote"
             ) from error
         self._next = 0
         self._clock_s = -np.inf
+
+    @property
+    def pivot_m(self) -> Float[np.ndarray, "3"] | None:
+        """The station's."""
+        return self._pivot_m
 
     def goal(self) -> DepthImage:
         """The goal image of the record."""
