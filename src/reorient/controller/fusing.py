@@ -130,12 +130,10 @@ def _approach(best: Candidate | None, moves_left: int) -> Decision:
     if moves_left <= 0:
         said = f"no orientation was found that surely matches the goal; the likeliest is {turn} from here"
         return Decision(said, ends=True, confidence=0.0)
-    why = "the likeliest orientation"
-    if best.visits:
-        why = "back to the likeliest orientation"
-    elif best.guessed:
-        why = "a half turn of an arrival"
-    return Decision(f"{why} ({best.share:.0%} likely): turns by {turn}", best.R_goal_now)
+    if best.guessed:
+        return Decision(f"a half turn of what was found: turns by {turn}", best.R_goal_now)
+    why = "back to what matched best" if best.visits else f"the likeliest orientation ({best.support:.0%} by one view)"
+    return Decision(f"{why}: turns by {turn}", best.R_goal_now)
 
 
 def _nearest_of_the_best(found: Sequence[Candidate], reachable: Reachable) -> Candidate:

@@ -91,7 +91,8 @@ def stands(steps: Sequence[Step], goal: DepthImage) -> list[Stand]:
     return found
 
 
-_likeness = lru_cache(maxsize=128)(likeness)  # by identity: a capture is asked about once
+_likeness = lru_cache(maxsize=64)(likeness)  # by identity: the same captures are asked about at every decision
+_axes = lru_cache(maxsize=64)(upright_axes)
 
 
 def claims(estimate: RotationEstimate) -> list[tuple[Float[np.ndarray, "3 3"], float]]:
@@ -117,7 +118,7 @@ def candidates(seen: Sequence[Stand]) -> list[Candidate]:
                 _claim(found, R @ seen[k].R_now_then.T).named.setdefault(k, []).append(probability)
     for stand in seen:
         if stand.likeness is not None:
-            for axis in upright_axes(stand.images[0]):
+            for axis in _axes(stand.images[0]):
                 guess = _claim(found, so3.exp(np.pi * axis) @ stand.R_now_then.T)
                 guess.guessed = not guess.named
     for view in _views(seen):
@@ -180,7 +181,7 @@ def _given(candidate: Candidate, seen: Sequence[Stand], view: Sequence[int]) -> 
     for k in view:
         named = candidate.named.get(k, [])
         silent = len(seen[k].estimates) - len(named)
-        left = max(1 - np.mean([sum(p for _, p in claims(e)) for e in seen[k].estimates]), LEAST)
+        left = max(1 - float(np.mean([sum(p for _, p in claims(e)) for e in seen[k].estimates])), LEAST)
         given += [max(p, LEAST) for p in named] + [left / RIVALS] * max(silent, 0)
     return given
 

@@ -18,6 +18,7 @@ from reorient.reporting.page import inline_image, page
 
 _PANEL_PX, _STILL_PX = 256, 352
 _FRAME_MS, _LAST_FRAME_MS = 160, 2500
+_FILM_MS = 6000  # a short loop is shown more slowly, to last this long
 
 
 def write_loop(
@@ -43,7 +44,7 @@ def write_loop(
         montage([goal_picture, picture, curve], 3, ["goal", "current", f"after {moves} moves" if moves else "start"])
         for moves, picture, curve in zip(_moves_before(steps), pictures, curves, strict=True)
     ]
-    write_gif(gif, frames, _FRAME_MS, _LAST_FRAME_MS)
+    write_gif(gif, frames, max(_FRAME_MS, _FILM_MS // len(frames)), _LAST_FRAME_MS)
 
     stills = [shade(images[index], _STILL_PX, range_m) for index in (1, 0, -1)]
     triptych = montage(stills, 3, ["start", "goal", "last image"])
