@@ -48,7 +48,7 @@ class Experiment:
     trials: int = 10
     """Goals and starts of each object."""
     systems: tuple[str, ...] = ("gicp/algorithm1", "gicp/direct")
-    """Each an estimator and a strategy: algorithm1 (eta 0.2, delta 0.5°), direct (eta 1) or fusing; at most 50 images."""
+    """Each an estimator and a strategy: algorithm1 (eta 0.2, delta 0.5°), direct (eta 1), fusing; at most 50 images."""
     ranges_deg: tuple[tuple[float, float], ...] = ((30, 30),)
     """Ranges of the angle between start and goal."""
     noise_mm: float = 0.5

@@ -31,8 +31,9 @@ from reorient.errors import ReorientError
 
 FIRST_RAD = float(np.radians(1))  # from farther, the first capture of a place is reason enough to move
 MOST_LOOKS = 6  # captures of the last place
-STEADY_RAD = float(np.radians(0.12))  # the average's standard error that needs no more looks
+STEADY_RAD = float(np.radians(0.09))  # the average's standard error that needs no more looks
 EQUIVALENT = 0.4  # of the likeliest candidate's probability: as good, and taken if nearer
+TIE = 2.0  # log odds by which a rival must beat what was found nearer: as much as noise can make
 SURE_FROM_AFAR = 0.95  # what a view from elsewhere gives, so that no rival need be seen
 SURE_HERE = 0.985  # what the arrival itself gives, to the same end
 NAMED = 0.2  # what makes an alternative a rival
@@ -48,7 +49,7 @@ class Fusing:
     max_steps: int = 40
     """Largest number of images."""
     most_moves: int = 12
-    tolerance_rad: float = float(np.radians(0.1))
+    tolerance_rad: float = float(np.radians(0.05))
     """Done when the averaged prediction is at most this, or its own standard error."""
     patience: int = 3
     """How many failures in a row it bears."""
@@ -97,8 +98,10 @@ class Fusing:
             return Decision(f"{degrees} seem left, give or take {np.degrees(error_rad):.2f}: looks again")
         if angle_rad > max(self.tolerance_rad, error_rad) and moves_left > 0 and looks_left > 0:
             return Decision(f"{looks} looks agree on {degrees}: turns by them", R_goal_now)
-        sure = min(best.share, float(1 / (1 + np.exp(-arrival_log_odds(seen[-1])))))
+        sure = float(1 / (1 + np.exp(-arrival_log_odds(seen[-1]))))
         said = f"{degrees} are left, give or take {np.degrees(error_rad):.2f}; {sure:.0%} sure"
+        if any(x.examined and x is not best and abs(x.log_weight - best.log_weight) < TIE for x in found):
+            said += "; another orientation matches about as well"
         if sure < LEAST_SURE:
             said += "; nothing that was tried surely matches the goal, and this is the likeliest"
         return Decision(said, None, True, sure >= LEAST_SURE, sure)
@@ -137,9 +140,12 @@ def _approach(best: Candidate | None, moves_left: int) -> Decision:
 
 
 def _nearest_of_the_best(found: Sequence[Candidate], reachable: Reachable) -> Candidate:
-    """Of the candidates that are about as likely as the likeliest, the nearest that can be reached."""
-    good = [x for x in found if x.share >= EQUIVALENT * found[0].share]
-    good.sort(key=lambda candidate: candidate.angle_rad)
+    """Of the candidates that are about as likely as the likeliest, the nearest to the start that can be reached."""
+    top = found[0]
+    good = [
+        x for x in found if x.share >= EQUIVALENT * top.share or (x.examined and top.log_weight - x.log_weight < TIE)
+    ]
+    good.sort(key=lambda candidate: candidate.from_start_rad)
     return next((x for x in good if x.angle_rad <= NEAR_RAD or reachable(x.R_goal_now)), good[0])
 
 

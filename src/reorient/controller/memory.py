@@ -52,6 +52,8 @@ class Candidate:
     R_goal_now: Float[np.ndarray, "3 3"]
     guessed: bool = False
     """Whether no estimate names it."""
+    from_start_rad: float = 0.0
+    """How far it is from the first pose."""
     named: dict[int, list[float]] = field(default_factory=dict)
     """By stand, what each of its estimates gives it."""
     visits: int = 0
@@ -128,6 +130,7 @@ def candidates(seen: Sequence[Stand]) -> list[Candidate]:
     for candidate in found:
         far = FAR_AGAINST if candidate.guessed else max(candidate.log_weight - most, FAR_AGAINST)
         visits = [s for s in seen if float(so3.angle(candidate.R_goal_now @ s.R_now_then)) <= NEAR_RAD]
+        candidate.from_start_rad = float(so3.angle(candidate.R_goal_now @ seen[0].R_now_then))
         candidate.visits = len(visits)
         candidate.examined = any(stand.likeness is not None for stand in visits)
         candidate.log_weight = far + _standing_there(visits)
