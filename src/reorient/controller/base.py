@@ -43,7 +43,7 @@ class Decision:
     R_step: Float[np.ndarray, "3 3"] | None = None
     """The next rotation (camera axes, left); None: none."""
     ends: bool = False
-    """Whether the loop ends here; with a move: after it."""
+    """Whether the loop ends here."""
     converged: bool = False
     """Whether the goal is reached, where it ends."""
     confidence: float | None = None

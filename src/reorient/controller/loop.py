@@ -79,7 +79,6 @@ class _Loop:
         """Whether the first move has been confirmed."""
 
     def run(self) -> OrientResult:
-        decision = None
         try:
             while True:
                 if self.strategy is not None and len(self.steps) >= self.strategy.max_steps:
@@ -89,7 +88,7 @@ class _Loop:
                     continue
                 decision = self.decide(*seen)
                 self.act(decision)
-                if decision.ends and not self.steps[-1].fault:
+                if decision.ends:
                     return self.result(decision.said, decision.converged, decision.confidence)
         except _Ended as ended:
             return self.result(str(ended), False, None)
@@ -133,17 +132,15 @@ class _Loop:
 
     def act(self, decision: Decision) -> None:
         """Make the move, if there is one, and tell the subscribers."""
-        R_step, ending, fault = decision.R_step, "", ""
+        R_step, R_executed, ending, fault = decision.R_step, None, "", ""
         if R_step is not None:
             ending = self.forbidden(R_step)
-            way_round = None if ending or self.reachable(R_step) else nearest_reachable(R_step, self.reachable)
             if not ending and not self.reachable(R_step):
-                ending, R_step = self.out_of_reach(R_step, way_round)
-        R_executed = None
-        if R_step is not None and not ending:
-            R_executed, fault = self.turn(R_step)
+                ending, R_step = self.way_round(R_step)
         if ending:
             R_step = None
+        if R_step is not None:
+            R_executed, fault = self.turn(R_step)
         self.steps[-1] = replace(self.steps[-1], R_step=R_step, R_executed=R_executed, fault=fault)
         for subscriber in self.subscribers:
             subscriber(self.steps[-1])
@@ -167,20 +164,19 @@ class _Loop:
         self.asked = True
         return ""
 
-    def out_of_reach(
-        self, R_step: Float[np.ndarray, "3 3"], way_round: Float[np.ndarray, "3 3"] | None
-    ) -> tuple[str, Float[np.ndarray, "3 3"]]:
-        """What to do about a move that the station cannot make: end, or turn to the nearest that it can."""
+    def way_round(self, R_step: Float[np.ndarray, "3 3"]) -> tuple[str, Float[np.ndarray, "3 3"]]:
+        """For a move that the station cannot make the nearest that it can, or why the loop ends."""
+        nearest = nearest_reachable(R_step, self.reachable)
         wanted_rad = float(so3.angle(R_step))
-        left_rad = wanted_rad if way_round is None else float(so3.angle_difference(way_round, R_step))
+        left_rad = wanted_rad if nearest is None else float(so3.angle_difference(nearest, R_step))
         said = (
             f"the station cannot turn by {np.degrees(wanted_rad):.1f} degrees as wanted; the nearest reachable "
             f"orientation leaves {np.degrees(left_rad):.1f}"
         )
-        if way_round is None or wanted_rad - left_rad < LEAST_GAIN_RAD:
+        if nearest is None or wanted_rad - left_rad < LEAST_GAIN_RAD:
             return said, R_step
         self.faults.append(said)
-        return "", way_round
+        return "", nearest
 
     def turn(self, R_step: Float[np.ndarray, "3 3"]) -> tuple[Float[np.ndarray, "3 3"] | None, str]:
         """Turn in parts that keep to the largest step; what was really done (None: unknown), and what went wrong."""
