@@ -32,7 +32,7 @@ from reorient.errors import ReorientError
 FIRST_RAD = float(np.radians(1))  # from farther, the first capture of a place is reason enough to move
 MOST_LOOKS = 6  # captures of the last place
 STEADY_RAD = float(np.radians(0.09))  # the average's standard error that needs no more looks
-EQUIVALENT = 0.4  # of the likeliest candidate's probability: as good, and taken if nearer
+EQUIVALENT = 0.9  # log odds below the likeliest candidate's: as good, and taken if nearer
 TIE = 2.0  # log odds by which a rival must beat what was found nearer: as much as noise can make
 SURE_FROM_AFAR = 0.95  # what a view from elsewhere gives, so that no rival need be seen
 SURE_HERE = 0.985  # what the arrival itself gives, to the same end
@@ -143,7 +143,10 @@ def _nearest_of_the_best(found: Sequence[Candidate], reachable: Reachable) -> Ca
     """Of the candidates that are about as likely as the likeliest, the nearest to the start that can be reached."""
     top = found[0]
     good = [
-        x for x in found if x.share >= EQUIVALENT * top.share or (x.examined and top.log_weight - x.log_weight < TIE)
+        x
+        for x in found
+        if (x.examined and top.log_weight - x.log_weight < TIE)
+        or (top.log_weight - x.log_weight < EQUIVALENT and top.from_views - x.from_views < EQUIVALENT)
     ]
     good.sort(key=lambda candidate: candidate.from_start_rad)
     return next((x for x in good if x.angle_rad <= NEAR_RAD or reachable(x.R_goal_now)), good[0])

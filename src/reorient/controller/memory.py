@@ -40,9 +40,8 @@ class Stand:
 
     @property
     def confidence(self) -> float:
-        """What the estimates give this pose, on average."""
-        near = [[p for R, p in claims(estimate) if float(so3.angle(R)) <= SAME_RAD] for estimate in self.estimates]
-        return float(np.mean([max(given, default=0.0) for given in near]))
+        """What the estimates give this pose, or one that looks like it, on average."""
+        return float(np.mean([_given_here(estimate) for estimate in self.estimates]))
 
 
 @dataclass(eq=False)
@@ -60,9 +59,10 @@ class Candidate:
     """How many poses stood for it."""
     examined: bool = False
     """Whether one of them was looked at twice."""
+    from_views: float = 0.0
+    """Log odds that all views give it."""
     log_weight: float = 0.0
-    share: float = 0.0
-    """Its weight among all candidates."""
+    """The same, less extreme, and what standing there adds."""
 
     @property
     def support(self) -> float:
@@ -104,6 +104,14 @@ def claims(estimate: RotationEstimate) -> list[tuple[Float[np.ndarray, "3 3"], f
     return [(estimate.R_goal_current, min(first, max(1 - rest, LEAST))), *estimate.alternatives]
 
 
+def _given_here(estimate: RotationEstimate) -> float:
+    """The confidence of an estimate, if its answer is to stay, or if staying is as likely as its answer; else less."""
+    named = claims(estimate)
+    here = max((p for R, p in named if float(so3.angle(R)) <= SAME_RAD), default=0.0)
+    whole = named[0][1] if estimate.confidence is None else estimate.confidence
+    return whole * min(1.0, here / named[0][1])
+
+
 def nearest(estimate: RotationEstimate, R: Float[np.ndarray, "3 3"]) -> tuple[Float[np.ndarray, "3 3"], float]:
     """Of the rotations that an estimate names the one nearest to R, and how far it is."""
     named = np.stack([R_named for R_named, _ in claims(estimate)])
@@ -125,19 +133,16 @@ def candidates(seen: Sequence[Stand]) -> list[Candidate]:
                 guess.guessed = not guess.named
     for view in _views(seen):
         for candidate in found:
-            candidate.log_weight += float(np.mean(np.log(_given(candidate, seen, view))))
-    most = max(candidate.log_weight for candidate in found)
+            candidate.from_views += float(np.mean(np.log(_given(candidate, seen, view))))
+    most = max(candidate.from_views for candidate in found)
     for candidate in found:
-        far = FAR_AGAINST if candidate.guessed else max(candidate.log_weight - most, FAR_AGAINST)
+        far = FAR_AGAINST if candidate.guessed else max(candidate.from_views - most, FAR_AGAINST)
         visits = [s for s in seen if float(so3.angle(candidate.R_goal_now @ s.R_now_then)) <= NEAR_RAD]
         candidate.from_start_rad = float(so3.angle(candidate.R_goal_now @ seen[0].R_now_then))
         candidate.visits = len(visits)
         candidate.examined = any(stand.likeness is not None for stand in visits)
         candidate.log_weight = far + _standing_there(visits)
-    weights = np.exp([candidate.log_weight for candidate in found])
-    for candidate, share in zip(found, weights / weights.sum(), strict=True):
-        candidate.share = float(share)
-    return sorted(found, key=lambda candidate: -candidate.log_weight)
+    return sorted(found, key=lambda candidate: (-candidate.log_weight, -candidate.from_views))
 
 
 def _standing_there(visits: Sequence[Stand]) -> float:
