@@ -36,6 +36,7 @@ EQUIVALENT = 0.9  # log odds below the likeliest candidate's: as good, and taken
 TIE = 2.0  # log odds by which a rival must beat what was found nearer: as much as noise can make
 SURE_FROM_AFAR = 0.95  # what a view from elsewhere gives, so that no rival need be seen
 SURE_HERE = 0.985  # what the arrival itself gives, to the same end
+MATCHES = 5.5  # log odds of an arrival, to the same end: more than false ones had
 NAMED = 0.2  # what makes an alternative a rival
 RESERVED = 3  # moves kept for the way back to the best and the last small ones
 LEAST_SURE = 0.5  # below this the loop ends without claiming the goal
@@ -162,8 +163,8 @@ def _rival(
         return None
     afar = [p for k, given in best.named.items() for p in given if not _at(best, seen[k])]
     own = np.mean([stand.confidence for stand in poses])
-    matches = np.mean([arrival_log_odds(stand) for stand in poses]) > 0
-    if matches and (own >= SURE_HERE or max(afar, default=1.0) >= SURE_FROM_AFAR):
+    odds = np.mean([arrival_log_odds(stand) for stand in poses])
+    if odds >= MATCHES or (odds > 0 and (own >= SURE_HERE or max(afar, default=1.0) >= SURE_FROM_AFAR)):
         return None
     rivals = [x for x in found if not x.visits and (x.guessed or x.support >= NAMED) and reachable(x.R_goal_now)]
     return max(rivals, key=lambda x: (not x.guessed, x.support, -x.angle_rad), default=None)
