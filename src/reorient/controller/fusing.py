@@ -32,6 +32,7 @@ from reorient.errors import ReorientError
 FIRST_RAD = float(np.radians(1))  # from farther, the first capture of a place is reason enough to move
 MOST_LOOKS = 6  # captures of the last place
 STEADY_RAD = float(np.radians(0.09))  # the average's standard error that needs no more looks
+CLEARLY = 1.5  # standard errors
 EQUIVALENT = 0.9  # log odds below the likeliest candidate's: as good, and taken if nearer
 TIE = 2.0  # log odds by which a rival must beat what was found nearer: as much as noise can make
 SURE_FROM_AFAR = 0.95  # what a view from elsewhere gives, so that no rival need be seen
@@ -50,8 +51,8 @@ class Fusing:
     max_steps: int = 40
     """Largest number of images."""
     most_moves: int = 12
-    tolerance_rad: float = float(np.radians(0.05))
-    """Done when the averaged prediction is at most this, or its own standard error."""
+    tolerance_rad: float = float(np.radians(0.08))
+    """Done when the averaged prediction is at most this, or not clearly above its own standard error."""
     patience: int = 3
     """How many failures in a row it bears."""
     memory: bool = False
@@ -97,7 +98,7 @@ class Fusing:
         degrees = f"{np.degrees(angle_rad):.2f} degrees"
         if looks_left > 0 and error_rad > STEADY_RAD and looks < MOST_LOOKS:
             return Decision(f"{degrees} seem left, give or take {np.degrees(error_rad):.2f}: looks again")
-        if angle_rad > max(self.tolerance_rad, error_rad) and moves_left > 0 and looks_left > 0:
+        if angle_rad > max(self.tolerance_rad, CLEARLY * error_rad) and moves_left > 0 and looks_left > 0:
             return Decision(f"{looks} looks agree on {degrees}: turns by them", R_goal_now)
         sure = float(1 / (1 + np.exp(-arrival_log_odds(seen[-1]))))
         said = f"{degrees} are left, give or take {np.degrees(error_rad):.2f}; {sure:.0%} sure"
