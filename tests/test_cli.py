@@ -127,14 +127,37 @@ def test_capture_and_orient(capsys, tmp_path):
     main(["capture", str(goal)])
     assert read_depth(goal).camera == WORLD.camera
     capsys.readouterr()
-    main(["orient", str(goal), "--turn-deg", "12", "--eta", "0.5", "--out", str(tmp_path / "run")])
+    one = ["orient", str(goal), "--strategy", "algorithm1", "--estimator", "gicp"]
+    main([*one, "--turn-deg", "12", "--eta", "0.5", "--out", str(tmp_path / "run")])
     said = capsys.readouterr().out
     assert "Done after" in said
     assert (tmp_path / "run" / "loop.gif").is_file()
-    assert "not converged after 1 moves: limit of 1 images" in refused(
-        capsys, "orient", goal, "--turn-deg", 12, "--max-steps", 1
-    )
-    assert "expected K >= 1, 0 < eta <= 1" in refused(capsys, "orient", goal, "--eta", 0)
+    assert "not converged after 1 moves: limit of 1 images" in refused(capsys, *one, "--turn-deg", 12, "--max-steps", 1)
+    assert "expected K >= 1, 0 < eta <= 1" in refused(capsys, *one, "--eta", 0)
+    assert "--eta and --delta-deg are Algorithm 1's" in refused(capsys, "orient", goal, "--eta", 0.5)
+    assert "did you mean 'fusing'" in refused(capsys, "orient", goal, "--strategy", "fusin")
+
+
+def test_orient_with_limits_a_record_and_its_replay(capsys, tmp_path, monkeypatch):
+    goal, record = tmp_path / "goal.npz", tmp_path / "record"
+    main(["capture", str(goal)])
+    turned = ["orient", goal, "--turn-deg", 100, "--noise-mm", 1, "--estimator", "fast"]
+    assert "dry run: would turn by" in refused(capsys, *turned, "--dry-run")
+    monkeypatch.setattr("builtins.input", lambda question: "n")
+    assert "was not confirmed" in refused(capsys, *turned, "--confirm-first-move")
+    assert "would exceed the largest total" in refused(capsys, *turned, "--largest-total-deg", 40)
+    assert "expected angles above 0" in refused(capsys, *turned, "--largest-step-deg", 0)
+    monkeypatch.setattr("builtins.input", lambda question: "y")
+    capsys.readouterr()
+    main([str(a) for a in [*turned, "--confirm-first-move", "--largest-step-deg", 60, "--record", record]])
+    said = capsys.readouterr().out.splitlines()
+    assert said[-1].startswith("Done after")
+    main(["replay", str(record), "--out", str(tmp_path / "again")])
+    again = capsys.readouterr().out.splitlines()
+    assert [line for line in again if str(tmp_path) not in line] == said
+    assert "turns by" in (tmp_path / "again" / "loop.html").read_text()
+    assert "holds a record: expected a new folder" in refused(capsys, *turned, "--record", record)
+    assert "no record in" in refused(capsys, "replay", tmp_path)
 
 
 def test_a_failed_capture_leaves_the_old_goal(capsys, tmp_path, monkeypatch):
@@ -156,7 +179,7 @@ def test_a_failed_capture_leaves_the_old_goal(capsys, tmp_path, monkeypatch):
 
 
 def test_demo(capsys, tmp_path):
-    main(["demo", "--out", str(tmp_path / "demo"), "--start-deg", "15"])
+    main(["demo", "--out", str(tmp_path / "demo"), "--start-deg", "100", "--estimator", "fast"])
     said = capsys.readouterr().out.strip().splitlines()
     assert "truly" in said[1]
     assert "Done after" in said[-3]

@@ -45,6 +45,8 @@ ROOMS = [
     "perception",
     "stations.base",
     "stations",
+    "recognition",
+    "controller.base",
     "controller",
     "evaluation",
     "judging",
@@ -61,7 +63,8 @@ ROOMS = [
     "",  # the package itself
 ]
 NEVER = {"estimators": {"meshes", "shapes", "objects", "rendering", "sensing", "symmetry", "paper_filter"}}
-ONLY = {"controller": {"errors", "so3", "depth", "estimators.base", "stations.base"}}
+_INTERFACES = {"errors", "so3", "depth", "estimators.base", "stations.base", "recognition", "controller.base"}
+ONLY = {room: _INTERFACES | {room} for room in ("controller", "controller.base")}
 
 
 def room_of(module: str) -> str:

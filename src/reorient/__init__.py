@@ -3,7 +3,7 @@
 >>> from reorient import Camera, DepthImage, load_estimator, orient
 """
 
-from reorient.controller import OrientResult, Proportional, Step, orient
+from reorient.controller import Fusing, Limits, OrientResult, Proportional, Step, orient
 from reorient.depth import Camera, DepthImage
 from reorient.errors import ReorientError, StationError
 from reorient.estimators import load_estimator
@@ -15,6 +15,8 @@ __all__ = [
     "Camera",
     "DepthImage",
     "Estimator",
+    "Fusing",
+    "Limits",
     "OrientResult",
     "Proportional",
     "ReorientError",

@@ -19,7 +19,7 @@ from numpy.random import Generator
 from reorient import so3
 from reorient.calibration import read_calibration
 from reorient.colour import ColourRange
-from reorient.controller import OrientResult, Proportional, Step, Strategy, orient
+from reorient.controller import Fusing, OrientResult, Proportional, Step, Strategy, orient
 from reorient.depth import DepthImage
 from reorient.errors import ReorientError, StationError, unknown_name
 from reorient.estimators import load_estimator
@@ -31,6 +31,7 @@ MAX_STEPS = 50  # K of the paper's physical experiment
 STRATEGIES: dict[str, Strategy] = {
     "algorithm1": Proportional(MAX_STEPS),  # eta = 0.2, delta = 0.5 degrees
     "direct": Proportional(MAX_STEPS, eta=1.0),  # the whole of what is predicted, at once
+    "fusing": Fusing(MAX_STEPS),
 }
 LEAST_VISIBLE = 0.7  # of the object's silhouette, in goal and start (paper: "not significantly occluded")
 _TURNS = 200  # drawn for a start before another goal is tried
@@ -47,7 +48,7 @@ class Experiment:
     trials: int = 10
     """Goals and starts of each object."""
     systems: tuple[str, ...] = ("gicp/algorithm1", "gicp/direct")
-    """Each an estimator and a strategy: algorithm1 (eta 0.2, delta 0.5°) or direct (eta 1); at most 50 images."""
+    """Each an estimator and a strategy: algorithm1 (eta 0.2, delta 0.5°), direct (eta 1), fusing; at most 50 images."""
     ranges_deg: tuple[tuple[float, float], ...] = ((30, 30),)
     """Ranges of the angle between start and goal."""
     noise_mm: float = 0.5

@@ -12,7 +12,7 @@ import tyro
 from reorient.errors import ReorientError
 
 VERBS = {  # by the file that holds them; only the one asked for is imported, as others take meshes and rays with them
-    "robot": ("Demo", "Estimate", "Orient", "Capture"),
+    "robot": ("Demo", "Estimate", "Orient", "Replay", "Capture"),
     "offline": ("Objects", "Evaluate", "Report"),
     "learning": ("Generate", "Train", "Export"),
     "judging": ("Judge",),

@@ -1,4 +1,4 @@
-"""The robot's verbs: demo, estimate, orient, capture."""
+"""The robot's verbs: demo, estimate, orient, replay, capture."""
 
 import json
 from dataclasses import dataclass, field
@@ -12,6 +12,7 @@ from reorient.errors import ReorientError
 from reorient.files import make_folder
 
 if TYPE_CHECKING:
+    from reorient.controller import Limits, Strategy
     from reorient.depth import Camera, DepthImage
     from reorient.estimators.base import RotationEstimate
     from reorient.stations.base import Station
@@ -117,16 +118,16 @@ class Demo:
     """Turn a generated object, seen only in depth images, to match a picture; leaves a GIF and an HTML page.
 
     For example: reorient demo --out out/demo
-    or, another object and start: reorient demo --object-index 7 --start-deg 25 --noise-mm 1
+    or, another object and start: reorient demo --object-index 7 --start-deg 25 --noise-mm 0
     """
 
     out: Path = Path("out/demo")
     """Folder for the GIF and the page."""
     object_index: int = 51
     """Which generated object."""
-    start_deg: float = 45.0
+    start_deg: float = 130.0
     """How far the start is from the goal."""
-    noise_mm: float = 0.0
+    noise_mm: float = 1.0
     """Depth noise."""
     estimator: str = "default"
     seed: int = 0
@@ -150,10 +151,10 @@ class Demo:
         def tell(step: Step) -> None:
             seen_deg = np.degrees(step.estimate.angle_rad)
             print(
-                f"image {step.index + 1:3d}: {seen_deg:6.2f} degrees to go by the images, {errors_deg[-1]:6.2f} truly"
+                f"image {step.index + 1:3d}: {seen_deg:6.2f} degrees to go by the images, {errors_deg[-1]:6.2f} truly. "
+                f"{step.said}"
             )
-            if step.R_executed is not None:
-                errors_deg.append(float(np.degrees(so3.angle_difference(R_goal, station.R_camera_object))))
+            errors_deg.append(float(np.degrees(so3.angle_difference(R_goal, station.R_camera_object))))
 
         result = orient(station, goal, estimator, subscribers=[tell])
         print(f"{'Done' if result.converged else 'Stopped'} after {result.moves} moves: {result.reason}.")
@@ -249,37 +250,144 @@ class Orient:
     frames: Frames = field(default_factory=Frames)
     choice: StationChoice = field(default_factory=StationChoice)
     estimator: str = "default"
-    max_steps: int = 100
-    """K: largest number of images."""
-    eta: float = 0.2
-    """Share of the predicted rotation to turn at once."""
-    delta_deg: float = 0.5
-    """Done when the predicted angle is at most this."""
+    strategy: str = "auto"
+    """'fusing', 'algorithm1' (the paper's), or 'auto': fusing where the estimator's confidence is calibrated."""
+    max_steps: int | None = None
+    """Largest number of images; default: the strategy's own."""
+    eta: float | None = None
+    """Algorithm 1: share of the predicted rotation to turn at once; default 0.2."""
+    delta_deg: float | None = None
+    """Algorithm 1: done when the predicted angle is at most this; default 0.5."""
+    largest_step_deg: float = 180.0
+    """Larger moves are made in parts."""
+    largest_total_deg: float = float("inf")
+    """End rather than turn by more than this in all."""
+    dry_run: bool = False
+    """Capture, estimate and say the first move; move nothing."""
+    confirm_first_move: bool = False
+    """Ask before the first move."""
+    record: Path | None = None
+    """Folder, a new one, for all that the station sees and does: see ``reorient replay``."""
     out: Path | None = None
     """Folder for a page and a GIF of the run."""
 
     def run(self) -> None:
         """Close the loop; a loop that does not converge is an error."""
-        from reorient.controller import Proportional, Step, orient
-        from reorient.estimators import load_estimator
-        from reorient.reporting import write_loop
+        from dataclasses import replace
 
-        strategy = Proportional(self.max_steps, self.eta, float(np.radians(self.delta_deg)))
-        if self.out is not None:
-            make_folder(self.out)
-        estimator = load_estimator(self.estimator)
+        from reorient.controller import Limits
+        from reorient.stations.replay import RecordingStation
+
+        strategy = _strategy(self.strategy, self.estimator, self.max_steps, self.eta, self.delta_deg)
+        limits = Limits(np.radians(self.largest_step_deg), np.radians(self.largest_total_deg), dry_run=self.dry_run)
+        if self.confirm_first_move:
+            limits = replace(limits, confirm=_confirmed)
         goal = self.frames.read(self.goal, 1)
+        station: Any = self.choice.open()
+        if self.record is not None:
+            about = {
+                "estimator": self.estimator,
+                "strategy": [self.strategy, self.max_steps, self.eta, self.delta_deg],
+                "largest_step_deg": self.largest_step_deg,
+            }
+            station = RecordingStation(station, self.record, goal, about)
+        _close_loop(station, goal, self.estimator, strategy, limits, self.out, f"Station {self.choice.station}")
 
-        def tell(step: Step) -> None:
-            print(f"image {step.index + 1:3d}: {np.degrees(step.estimate.angle_rad):6.2f} degrees to go", flush=True)
 
-        result = orient(self.choice.open(), goal, estimator, strategy, subscribers=[tell])
-        if self.out is not None and result.steps:
-            for path in write_loop(self.out, goal, result, [], f"Station {self.choice.station}"):
-                print(path)
-        if not result.converged:
-            raise ReorientError(f"not converged after {result.moves} moves: {result.reason}")
-        print(f"Done after {result.moves} moves: {result.reason}.")
+@dataclass(frozen=True)
+class Replay:
+    """Run a recorded loop again, without its station: the same frames and answers, the decisions made anew.
+
+    For example: reorient orient goal.npz --turn-deg 120 --record out/record && reorient replay out/record
+    """
+
+    record: Positional[Path]
+    """What ``reorient orient --record`` wrote."""
+    out: Path | None = None
+    """Folder for a page and a GIF of the run."""
+
+    def run(self) -> None:
+        """Replay; a loop that does not converge is an error, as it was."""
+        from reorient.controller import Limits
+        from reorient.stations.replay import ReplayedStation
+
+        station = ReplayedStation(self.record)
+        try:
+            estimator, (name, max_steps, eta, delta_deg) = station.record["estimator"], station.record["strategy"]
+            limits = Limits(np.radians(station.record["largest_step_deg"]), wait_s=0.0)
+        except (KeyError, TypeError, ValueError) as error:
+            raise ReorientError(
+                f"the record does not say how it was made ({error}): expected one of `orient`"
+            ) from error
+        strategy = _strategy(name, estimator, max_steps, eta, delta_deg)
+        _close_loop(station, station.goal(), estimator, strategy, limits, self.out, f"Record {self.record.name}")
+
+
+def _strategy(
+    name: str, estimator: str, max_steps: int | None, eta: float | None, delta_deg: float | None
+) -> "Strategy | None":
+    """The strategy of a command line; None: what suits the estimator, with its own settings."""
+    from reorient.controller import Fusing, Proportional
+    from reorient.errors import unknown_name
+
+    if name not in ("auto", "fusing", "algorithm1"):
+        raise unknown_name("strategy", name, ["auto", "fusing", "algorithm1"])
+    if name == "auto":  # None would do but for settings
+        name = "algorithm1" if estimator in ("gicp", "icp", "paper", "swift") else "fusing"
+    given = {"eta": eta, "delta_rad": None if delta_deg is None else float(np.radians(delta_deg))}
+    given = {key: value for key, value in given.items() if value is not None}
+    if name == "fusing" and given:
+        raise ReorientError("--eta and --delta-deg are Algorithm 1's: expected --strategy algorithm1 with them")
+    steps = {} if max_steps is None else {"max_steps": max_steps}
+    return Fusing(**steps) if name == "fusing" else Proportional(**steps, **given)  # type: ignore[arg-type]
+
+
+def _confirmed(R_step: np.ndarray) -> bool:
+    """Ask at the terminal; no answer is a no."""
+    from reorient import so3
+
+    rotvec = np.degrees(so3.log(R_step))
+    turn = (
+        f"{np.linalg.norm(rotvec):.1f} degrees (rotation vector [{' '.join(f'{x:.1f}' for x in rotvec)}], camera axes)"
+    )
+    try:
+        return input(f"The first move is {turn}. Go? [y/N] ").strip().lower() in ("y", "yes")
+    except EOFError:
+        return False
+
+
+def _close_loop(
+    station: Any,
+    goal: "DepthImage",
+    estimator: str,
+    strategy: "Strategy | None",
+    limits: "Limits",
+    out: Path | None,
+    title: str,
+) -> None:
+    """Run the loop, tell its decisions, write its page, and raise ReorientError where it did not converge."""
+    from reorient.controller import Step, orient
+    from reorient.estimators import load_estimator
+    from reorient.reporting import write_loop
+
+    if out is not None:
+        make_folder(out)
+
+    def tell(step: Step) -> None:
+        seen_deg = np.degrees(step.estimate.angle_rad)
+        print(f"image {step.index + 1:3d}: {seen_deg:6.2f} degrees to go. {step.said}", flush=True)
+
+    result = orient(station, goal, load_estimator(estimator), strategy, subscribers=[tell], limits=limits)
+    if hasattr(station, "finish"):
+        station.finish(result.reason, result.converged)
+    for fault in result.faults:
+        print(f"on the way: {fault}")
+    if out is not None and result.steps:
+        for path in write_loop(out, goal, result, [], title):
+            print(path)
+    if not result.converged:
+        raise ReorientError(f"not converged after {result.moves} moves: {result.reason}")
+    print(f"Done after {result.moves} moves: {result.reason}.")
 
 
 @dataclass(frozen=True)

@@ -272,7 +272,7 @@ def _cumulate(axes: Axes, error_deg: np.ndarray, **style: Any) -> None:
 def _loop_axes(axes: Axes, predicted_deg: Sequence[float], true_deg: Sequence[float]) -> tuple[Line2D, Line2D]:
     """Axes ready for a loop of this length, with two empty lines: predicted and true."""
     last = max(len(predicted_deg), len(true_deg), 2) - 1
-    axes.set(xlim=(-0.02 * last, 1.02 * last), ylim=(0, 1.08 * max(*predicted_deg, *true_deg, 1.0)), xlabel="moves")
+    axes.set(xlim=(-0.02 * last, 1.02 * last), ylim=(0, 1.08 * max(*predicted_deg, *true_deg, 1.0)), xlabel="images")
     axes.yaxis.set_major_formatter(_degrees())
     axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
     (true,) = axes.plot([], [], color=_TRUE, marker="o", markersize=5, lw=2.8, label="true angle" if true_deg else "_")

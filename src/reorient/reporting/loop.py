@@ -18,6 +18,7 @@ from reorient.reporting.page import inline_image, page
 
 _PANEL_PX, _STILL_PX = 256, 352
 _FRAME_MS, _LAST_FRAME_MS = 160, 2500
+_FILM_MS = 6000  # a short loop is shown more slowly, to last this long
 
 
 def write_loop(
@@ -40,16 +41,17 @@ def write_loop(
     curves = growing_curve(predicted_deg, errors_deg, _PANEL_PX)
     gif = Path(folder) / "loop.gif"
     frames = [
-        montage([goal_picture, picture, curve], 3, ["goal", "current", f"after {index} moves" if index else "start"])
-        for index, (picture, curve) in enumerate(zip(pictures, curves, strict=True))
+        montage([goal_picture, picture, curve], 3, ["goal", "current", f"after {moves} moves" if moves else "start"])
+        for moves, picture, curve in zip(_moves_before(steps), pictures, curves, strict=True)
     ]
-    write_gif(gif, frames, _FRAME_MS, _LAST_FRAME_MS)
+    write_gif(gif, frames, max(_FRAME_MS, _FILM_MS // len(frames)), _LAST_FRAME_MS)
 
     stills = [shade(images[index], _STILL_PX, range_m) for index in (1, 0, -1)]
     triptych = montage(stills, 3, ["start", "goal", "last image"])
     sections = {
         "Start, goal, last image": inline_image(png_data_uri(triptych), "start, goal and last image", dark=True),
-        "Remaining angle": inline_image(loop_curve(predicted_deg, errors_deg), "remaining angle after each move"),
+        "Remaining angle": inline_image(loop_curve(predicted_deg, errors_deg), "remaining angle at each image"),
+        "Decisions": _decisions(result),
         "Steps": _table(steps, errors_deg),
     }
     html = Path(folder) / "loop.html"
@@ -75,6 +77,20 @@ def evidence_in_words(evidence: Evidence) -> str:
         said += f" (rms {1000 * evidence.residual_m:.1f} mm)"
     said += f", {against:.0%} contradicts, {evidence.behind:.0%} hidden"
     return said if evidence.converged else said + "; registration not converged"
+
+
+def _moves_before(steps: Sequence[Step]) -> list[int]:
+    """How often the object had been turned at each image."""
+    turned = [step.R_executed is not None for step in steps]
+    return [sum(turned[:k]) for k in range(len(steps))]
+
+
+def _decisions(result: OrientResult) -> str:
+    """What was decided at each image, and what went wrong, in words."""
+    lines = "".join(f"<li>{escape(step.said)}.</li>" for step in result.steps)
+    faults = "".join(f"<li>{escape(fault)}.</li>" for fault in result.faults)
+    went_wrong = f'<p class="note">On the way:</p><ul class="note">{faults}</ul>' if faults else ""
+    return f'<ol start="0">{lines}</ol>{went_wrong}'
 
 
 def _table(steps: Sequence[Step], errors_deg: Sequence[float]) -> str:

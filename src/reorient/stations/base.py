@@ -10,7 +10,12 @@ from reorient.depth import DepthImage
 
 @runtime_checkable
 class Station(Protocol):
-    """A robot cell, real or simulated. Failures are raised, as StationError or whatever the driver raises."""
+    """A robot cell, real or simulated. Failures are raised, as StationError or whatever the driver raises.
+
+    Two methods more are used where a station has them: ``reachable(R_step) -> bool``, whether ``rotate`` would do it;
+    and ``clock_s() -> float``, the clock that frames are stamped with, which shows up a frame that was captured before
+    the last move ended. Without it only a frame that is not newer than the last one is refused.
+    """
 
     @property
     def pivot_m(self) -> Float[np.ndarray, "3"] | None:

@@ -56,6 +56,10 @@ class RenderedStation:
         self._time_s += FRAME_S
         return R_step
 
+    def clock_s(self) -> float:
+        """Simulated seconds since the station was made; what frames are stamped with."""
+        return self._time_s
+
     def _sense(self, occluded: bool) -> DepthImage:
         image = sense(
             self._rng,

@@ -85,6 +85,10 @@ class SimulatedCell:
         R_world = self.arm.tcp(self.plant.read())[:3, :3] @ self.arm.tcp(before_rad)[:3, :3].T
         return self._R_world_camera.T @ R_world @ self._R_world_camera
 
+    def clock_s(self) -> float:
+        """The plant's clock; what frames are stamped with."""
+        return self.plant.time_s
+
     def reachable(self, R_step: Float[np.ndarray, "3 3"]) -> bool:
         """Whether ``rotate`` would do it."""
         try:

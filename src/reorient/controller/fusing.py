@@ -1,0 +1,176 @@
+"""The successor of Algorithm 1: full moves to the likeliest orientation, and a memory of all that was seen.
+
+The robot knows the rotation that it made between two captures, so every estimate, and every alternative that it names,
+can be carried along to now: all of them are claims about one thing, the rotation that is still missing. They are
+weighed together as *candidates*. The strategy goes to the likeliest; there it looks twice, checks whether the goal
+looks as like the object as the object looks like itself (``recognition``), averages, and makes the last small moves.
+What fails the check is a false arrival: it loses its weight, and its half turns about the axes of what is seen become
+candidates, as most false arrivals are half turns of nearly symmetric objects.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from reorient import so3
+from reorient.controller.base import Decision, Reachable, Step, known_part, rotations_since
+from reorient.controller.memory import (
+    NEAR_RAD,
+    Candidate,
+    Stand,
+    arrival_log_odds,
+    average,
+    candidates,
+    nearest,
+    stands,
+)
+from reorient.depth import DepthImage
+from reorient.errors import ReorientError
+
+FIRST_RAD = float(np.radians(1))  # from farther, the first capture of a place is reason enough to move
+MOST_LOOKS = 6  # captures of the last place
+STEADY_RAD = float(np.radians(0.09))  # the average's standard error that needs no more looks
+CLEARLY = 1.5  # standard errors
+EQUIVALENT = 0.9  # log odds below the likeliest candidate's: as good, and taken if nearer
+TIE = 2.0  # log odds by which a rival must beat what was found nearer: as much as noise can make
+SURE_FROM_AFAR = 0.95  # what a view from elsewhere gives, so that no rival need be seen
+SURE_HERE = 0.985  # what the arrival itself gives, to the same end
+MATCHES = 5.5  # log odds of an arrival, to the same end: more than false ones had
+NAMED = 0.2  # what makes an alternative a rival
+RESERVED = 3  # moves kept for the way back to the best and the last small ones
+LEAST_SURE = 0.5  # below this the loop ends without claiming the goal
+
+
+@dataclass(frozen=True)
+class Fusing:
+    """Few moves from any start: the likeliest of all candidates, checked on arrival. Raises ReorientError for limits
+    that allow nothing."""
+
+    max_steps: int = 40
+    """Largest number of images."""
+    most_moves: int = 12
+    tolerance_rad: float = float(np.radians(0.08))
+    """Done when the averaged prediction is at most this, or not clearly above its own standard error."""
+    patience: int = 3
+    """How many failures in a row it bears."""
+    memory: bool = False
+    """Whether the estimator is given earlier captures, too."""
+
+    def __post_init__(self) -> None:
+        if not (self.max_steps >= 2 and self.most_moves >= 1 and self.tolerance_rad >= 0 and self.patience >= 0):
+            raise ReorientError(
+                f"{self.max_steps} images, {self.most_moves} moves, tolerance {self.tolerance_rad}, patience "
+                f"{self.patience}: expected at least 2 images, 1 move, and no negative number"
+            )
+
+    def recalled(self, steps: Sequence[Step]) -> list[tuple[DepthImage, Float[np.ndarray, "3 3"]]]:
+        """Earlier captures by known rotations."""
+        known = known_part(steps) if self.memory else []
+        return [(step.image, R) for step, R in zip(known, rotations_since(known), strict=True)]
+
+    def decide(self, steps: Sequence[Step], goal: DepthImage, reachable: Reachable) -> Decision:
+        """Examine an arrival, go on to the likeliest candidate, see a rival, make the last small move, or end."""
+        known = known_part(steps)
+        seen = stands(known, goal)
+        found = candidates(seen)
+        moves_left = self.most_moves - sum(step.R_step is not None for step in steps)
+        looks_left = self.max_steps - len(steps)
+        here = _here(found, seen[-1])
+        looks = len(seen[-1].images)
+        if here is not None and looks < 2 and looks_left > 0:
+            return _examine(here, known, moves_left)
+        last = min(moves_left, looks_left - MOST_LOOKS) <= RESERVED
+        choice = [x for x in found if x is here or x.angle_rad > NEAR_RAD]
+        if last:  # no more experiments: of the poses that were examined the best, if there is one
+            choice = [x for x in choice if x.examined] or [x for x in choice if not x.guessed]
+        best = _nearest_of_the_best(choice, reachable) if choice else None
+        rival = _rival(best, found, seen, reachable) if best is not None and not last else None
+        if rival is not None:
+            turn = f"{np.degrees(rival.angle_rad):.0f} degrees"
+            why = "a half turn of it" if rival.guessed else f"another orientation ({rival.support:.0%} by one view)"
+            return Decision(f"what was found may be the goal, but {why} may, too: turns by {turn}", rival.R_goal_now)
+        if best is None or best is not here:
+            return _approach(best, min(moves_left, looks_left))
+        R_goal_now, error_rad = average(known, best.R_goal_now)
+        angle_rad = float(so3.angle(R_goal_now))
+        degrees = f"{np.degrees(angle_rad):.2f} degrees"
+        if looks_left > 0 and error_rad > STEADY_RAD and looks < MOST_LOOKS:
+            return Decision(f"{degrees} seem left, give or take {np.degrees(error_rad):.2f}: looks again")
+        if angle_rad > max(self.tolerance_rad, CLEARLY * error_rad) and moves_left > 0 and looks_left > 0:
+            return Decision(f"{looks} looks agree on {degrees}: turns by them", R_goal_now)
+        sure = float(1 / (1 + np.exp(-arrival_log_odds(seen[-1]))))
+        said = f"{degrees} are left, give or take {np.degrees(error_rad):.2f}; {sure:.0%} sure"
+        if any(x.examined and x is not best and abs(x.log_weight - best.log_weight) < TIE for x in found):
+            said += "; another orientation matches about as well"
+        if sure < LEAST_SURE:
+            said += "; nothing that was tried surely matches the goal, and this is the likeliest"
+        return Decision(said, None, True, sure >= LEAST_SURE, sure)
+
+
+def _here(found: Sequence[Candidate], stand: Stand) -> Candidate | None:
+    """The candidate that the present pose stands for, if an estimate names it from here."""
+    if min(nearest(estimate, np.eye(3))[1] for estimate in stand.estimates) > NEAR_RAD:
+        return None
+    return min(found, key=lambda candidate: candidate.angle_rad)
+
+
+def _examine(here: Candidate, known: Sequence[Step], moves_left: int) -> Decision:
+    """The first look at an arrival: come closer, once, then look again."""
+    R_goal_now, _ = average(known, here.R_goal_now)
+    angle_rad = float(so3.angle(R_goal_now))
+    came = [float(so3.angle(step.R_executed)) for step in known if step.R_executed is not None][-1:]
+    degrees = f"{np.degrees(angle_rad):.2f} degrees"
+    if angle_rad > FIRST_RAD and moves_left > 0 and (not came or came[0] > NEAR_RAD):
+        return Decision(f"near what may be the goal: turns by the {degrees} that are left", R_goal_now)
+    return Decision(f"this may be the goal, but for {degrees}: looks again")
+
+
+def _approach(best: Candidate | None, moves_left: int) -> Decision:
+    """A full move to a candidate that is not near."""
+    if best is None:
+        return Decision("nothing is left to try, and nothing matched the goal", ends=True, confidence=0.0)
+    turn = f"{np.degrees(best.angle_rad):.0f} degrees"
+    if moves_left <= 0:
+        said = f"no orientation was found that surely matches the goal; the likeliest is {turn} from here"
+        return Decision(said, ends=True, confidence=0.0)
+    if best.guessed:
+        return Decision(f"a half turn of what was found: turns by {turn}", best.R_goal_now)
+    why = "back to what matched best" if best.visits else f"the likeliest orientation ({best.support:.0%} by one view)"
+    return Decision(f"{why}: turns by {turn}", best.R_goal_now)
+
+
+def _nearest_of_the_best(found: Sequence[Candidate], reachable: Reachable) -> Candidate:
+    """Of the candidates that are about as likely as the likeliest, the nearest to the start that can be reached."""
+    top = found[0]
+    good = [
+        x
+        for x in found
+        if (x.examined and top.log_weight - x.log_weight < TIE)
+        or (top.log_weight - x.log_weight < EQUIVALENT and top.from_views - x.from_views < EQUIVALENT)
+    ]
+    good.sort(key=lambda candidate: candidate.from_start_rad)
+    return next((x for x in good if x.angle_rad <= NEAR_RAD or reachable(x.R_goal_now)), good[0])
+
+
+def _rival(
+    best: Candidate, found: Sequence[Candidate], seen: Sequence[Stand], reachable: Reachable
+) -> Candidate | None:
+    """What should be seen before the best is believed: what other views named, then half turns. Nothing, where it has
+    been examined and leaves no doubt."""
+    poses = [stand for stand in seen if _at(best, stand) and stand.likeness is not None]
+    if not poses:
+        return None
+    afar = [p for k, given in best.named.items() for p in given if not _at(best, seen[k])]
+    own = np.mean([stand.confidence for stand in poses])
+    odds = np.mean([arrival_log_odds(stand) for stand in poses])
+    if odds >= MATCHES or (odds > 0 and (own >= SURE_HERE or max(afar, default=1.0) >= SURE_FROM_AFAR)):
+        return None
+    rivals = [x for x in found if not x.visits and (x.guessed or x.support >= NAMED) and reachable(x.R_goal_now)]
+    return max(rivals, key=lambda x: (not x.guessed, x.support, -x.angle_rad), default=None)
+
+
+def _at(candidate: Candidate, stand: Stand) -> bool:
+    """Whether a pose stands for a candidate."""
+    return float(so3.angle(candidate.R_goal_now @ stand.R_now_then)) <= NEAR_RAD

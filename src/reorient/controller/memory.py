@@ -1,0 +1,222 @@
+"""What a loop knows so far: the poses it stood in, and the orientations that the goal may have.
+
+Every estimate, and every alternative that it names, is a claim about the rotation that is still missing. Known moves
+carry claims along to now, where those that agree are one candidate.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Float
+
+from reorient import so3
+from reorient.controller.base import Step, rotations_since
+from reorient.depth import DepthImage
+from reorient.estimators.base import RotationEstimate
+from reorient.recognition import likeness, upright_axes
+
+NEAR_RAD = float(np.radians(8))  # so near, a pose stands for the candidate
+SAME_RAD = float(np.radians(15))  # claims so near each other are one candidate
+NEW_VIEW_RAD = float(np.radians(10))  # poses turned by less show the same, and err alike
+LEAST, RIVALS = 0.02, 10  # a claim that is not named: its share, one in so many, of what is left, at the least this
+DENIED = -6.0  # log odds of a pose from which all estimates want to be off
+FAR_AGAINST = -4.0  # log odds, at the most, that views from elsewhere hold against a candidate: they err alike
+DRIFT = 0.05  # radians of error that a claim may gain per radian turned
+SPREAD_RAD = float(np.radians(0.3))  # of one estimate near the goal
+
+
+@dataclass(frozen=True, eq=False)
+class Stand:
+    """The captures of one pose."""
+
+    images: tuple[DepthImage, ...]
+    estimates: tuple[RotationEstimate, ...]
+    R_now_then: Float[np.ndarray, "3 3"]
+    """What has turned the object since."""
+    likeness: float | None
+    """Log odds that this pose is the goal's; None unless its estimates stay near it, and it was captured twice."""
+
+    @property
+    def confidence(self) -> float:
+        """What the estimates give this pose, or one that looks like it, on average."""
+        return float(np.mean([_given_here(estimate) for estimate in self.estimates]))
+
+
+@dataclass(eq=False)
+class Candidate:
+    """One orientation that the goal may have."""
+
+    R_goal_now: Float[np.ndarray, "3 3"]
+    guessed: bool = False
+    """Whether no estimate names it."""
+    from_start_rad: float = 0.0
+    """How far it is from the first pose."""
+    named: dict[int, list[float]] = field(default_factory=dict)
+    """By stand, what each of its estimates gives it."""
+    visits: int = 0
+    """How many poses stood for it."""
+    examined: bool = False
+    """Whether one of them was looked at twice."""
+    from_views: float = 0.0
+    """Log odds that all views give it."""
+    log_weight: float = 0.0
+    """The same, less extreme, and what standing there adds."""
+
+    @property
+    def support(self) -> float:
+        """The most that an estimate from elsewhere gives it."""
+        return max((max(given) for given in self.named.values()), default=0.0)
+
+    @property
+    def angle_rad(self) -> float:
+        """How far it is from here."""
+        return float(so3.angle(self.R_goal_now))
+
+
+def stands(steps: Sequence[Step], goal: DepthImage) -> list[Stand]:
+    """The poses of a chain of known rotations, in order."""
+    groups: list[list[int]] = []
+    for k, _ in enumerate(steps):
+        if k == 0 or steps[k - 1].R_executed is not None:
+            groups.append([])
+        groups[-1].append(k)
+    R_now_then = rotations_since(steps)
+    found = []
+    for group in groups:
+        images = tuple(steps[k].image for k in group)
+        estimates = tuple(steps[k].estimate for k in group)
+        near = float(np.median([nearest(estimate, np.eye(3))[1] for estimate in estimates])) <= NEAR_RAD
+        alike = _likeness(images, goal, estimates) if near and len(group) >= 2 else None
+        found.append(Stand(images, estimates, R_now_then[group[0]], alike))
+    return found
+
+
+_likeness = lru_cache(maxsize=64)(likeness)  # by identity: the same captures are asked about at every decision
+_axes = lru_cache(maxsize=64)(upright_axes)
+
+
+def claims(estimate: RotationEstimate) -> list[tuple[Float[np.ndarray, "3 3"], float]]:
+    """The rotations that an estimate names, each with its probability: the answer, then the alternatives."""
+    rest = sum(probability for _, probability in estimate.alternatives)
+    first = 0.5 if estimate.confidence is None else estimate.confidence
+    return [(estimate.R_goal_current, min(first, max(1 - rest, LEAST))), *estimate.alternatives]
+
+
+def _given_here(estimate: RotationEstimate) -> float:
+    """The confidence of an estimate, if its answer is to stay, or if staying is as likely as its answer; else less."""
+    named = claims(estimate)
+    here = max((p for R, p in named if float(so3.angle(R)) <= SAME_RAD), default=0.0)
+    whole = named[0][1] if estimate.confidence is None else estimate.confidence
+    return whole * min(1.0, here / named[0][1])
+
+
+def nearest(estimate: RotationEstimate, R: Float[np.ndarray, "3 3"]) -> tuple[Float[np.ndarray, "3 3"], float]:
+    """Of the rotations that an estimate names the one nearest to R, and how far it is."""
+    named = np.stack([R_named for R_named, _ in claims(estimate)])
+    away = so3.angle_difference(named, R)
+    return named[np.argmin(away)], float(away.min())
+
+
+def candidates(seen: Sequence[Stand]) -> list[Candidate]:
+    """All orientations that estimates name or half turns of arrivals suggest, the likeliest first."""
+    found: list[Candidate] = []
+    for k in range(len(seen) - 1, -1, -1):  # the latest first: its rotations have drifted least
+        for estimate in seen[k].estimates:
+            for R, probability in claims(estimate):
+                _claim(found, R @ seen[k].R_now_then.T).named.setdefault(k, []).append(probability)
+    for stand in seen:
+        if stand.likeness is not None:
+            for axis in _axes(stand.images[0]):
+                guess = _claim(found, so3.exp(np.pi * axis) @ stand.R_now_then.T)
+                guess.guessed = not guess.named
+    for view in _views(seen):
+        for candidate in found:
+            candidate.from_views += float(np.mean(np.log(_given(candidate, seen, view))))
+    most = max(candidate.from_views for candidate in found)
+    for candidate in found:
+        far = FAR_AGAINST if candidate.guessed else max(candidate.from_views - most, FAR_AGAINST)
+        visits = [s for s in seen if float(so3.angle(candidate.R_goal_now @ s.R_now_then)) <= NEAR_RAD]
+        candidate.from_start_rad = float(so3.angle(candidate.R_goal_now @ seen[0].R_now_then))
+        candidate.visits = len(visits)
+        candidate.examined = any(stand.likeness is not None for stand in visits)
+        candidate.log_weight = far + _standing_there(visits)
+    return sorted(found, key=lambda candidate: (-candidate.log_weight, -candidate.from_views))
+
+
+def _standing_there(visits: Sequence[Stand]) -> float:
+    """What poses add to the log odds of the candidate that they stand for: the mean of those looked at twice, as they
+    err alike; where no estimate stays, a denial."""
+    looked = [arrival_log_odds(stand) for stand in visits if stand.likeness is not None]
+    if looked:
+        return float(np.mean(looked))
+    denied = [min(nearest(e, np.eye(3))[1] for e in stand.estimates) > NEAR_RAD for stand in visits]
+    return DENIED if any(denied) else 0.0
+
+
+def arrival_log_odds(here: Stand) -> float:
+    """That a pose is the goal's: the estimator's own confidence there, and the likeness."""
+    own = np.clip(here.confidence, LEAST, 1 - LEAST / 2)
+    return float(np.log(own / (1 - own))) + (here.likeness or 0.0)
+
+
+def _claim(found: list[Candidate], R_goal_now: Float[np.ndarray, "3 3"]) -> Candidate:
+    """The candidate that a claim belongs to, a new one if none is near."""
+    away = [float(so3.angle_difference(candidate.R_goal_now, R_goal_now)) for candidate in found]
+    if not away or min(away) > SAME_RAD:
+        found.append(Candidate(R_goal_now))
+        return found[-1]
+    return found[int(np.argmin(away))]
+
+
+def _views(seen: Sequence[Stand]) -> list[list[int]]:
+    """The stands, those together whose poses are nearly the same."""
+    views: list[list[int]] = []
+    for k, stand in enumerate(seen):
+        for view in views:
+            if so3.angle_difference(seen[view[0]].R_now_then, stand.R_now_then) < NEW_VIEW_RAD:
+                view.append(k)
+                break
+        else:
+            views.append([k])
+    return views
+
+
+def _given(candidate: Candidate, seen: Sequence[Stand], view: Sequence[int]) -> list[float]:
+    """What each estimate of a view gives a candidate; where it does not name it, a share of what it leaves."""
+    given = []
+    for k in view:
+        named = candidate.named.get(k, [])
+        silent = len(seen[k].estimates) - len(named)
+        left = max(1 - float(np.mean([sum(p for _, p in claims(e)) for e in seen[k].estimates])), LEAST)
+        given += [max(p, LEAST) for p in named] + [left / RIVALS] * max(silent, 0)
+    return given
+
+
+def average(steps: Sequence[Step], R_goal_now: Float[np.ndarray, "3 3"]) -> tuple[Float[np.ndarray, "3 3"], float]:
+    """The missing rotation by all captures near a candidate, and its standard error in radians.
+
+    A geometric median, as single estimates may be off by degrees; what was seen before larger turns counts less.
+    """
+    R, turned = [], []
+    since = 0.0
+    for step, R_now_then in zip(reversed(steps), reversed(rotations_since(steps)), strict=True):
+        since += 0.0 if step.R_executed is None else float(so3.angle(step.R_executed))
+        claim, _ = nearest(step.estimate, R_goal_now @ R_now_then)
+        claim_now = claim @ R_now_then.T
+        if float(so3.angle(claim)) <= NEAR_RAD and float(so3.angle_difference(claim_now, R_goal_now)) <= SAME_RAD:
+            R.append(claim_now)
+            turned.append(since)
+    if not R:
+        return R_goal_now, float("inf")
+    known = 1 / (SPREAD_RAD**2 + (DRIFT * np.array(turned)) ** 2)
+    weights, middle = known, so3.mean(np.stack(R), known)
+    for _ in range(20):
+        away = so3.angle_difference(np.stack(R), middle)
+        weights = known / np.maximum(away, SPREAD_RAD / 10)
+        middle = so3.mean(np.stack(R), weights)
+    away = so3.angle_difference(np.stack(R), middle)
+    spread = np.sqrt(np.sum(weights * away**2) / weights.sum())
+    effective = known.sum() * SPREAD_RAD**2
+    return middle, float(max(spread, SPREAD_RAD if len(R) < 3 else 0.0) / np.sqrt(effective))

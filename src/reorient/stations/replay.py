@@ -1,0 +1,159 @@
+"""What a station saw and did, kept in a folder, and the folder as a station: so that a failure becomes a test.
+
+A record is ``record.json`` (the pivot, and every capture and move in order, failures included) beside ``goal.npz`` and
+one ``.npz`` for each frame. It is whole after every act, whatever happens next.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from reorient import so3
+from reorient.depth import DepthImage
+from reorient.depth_files import read_depth, write_depth
+from reorient.errors import ReorientError, StationError
+from reorient.files import make_folder, replacing
+from reorient.stations.base import Station
+
+SAME_RAD = float(np.radians(0.1))  # a move that differs by less from the recorded one is that move
+
+
+class RecordingStation:
+    """A station whose every act is noted. Raises ReorientError where the folder holds a record already."""
+
+    def __init__(self, station: Station, folder: str | Path, goal: DepthImage, about: dict[str, Any]) -> None:
+        """``about``: what else to keep in the record, as JSON (the estimator, the strategy)."""
+        self._station = station
+        self._folder = make_folder(folder)
+        if (self._folder / "record.json").exists():
+            raise ReorientError(f"{str(folder)!r} holds a record: expected a new folder")
+        write_depth(self._folder / "goal.npz", goal)
+        pivot_m = station.pivot_m
+        self._record: dict[str, Any] = {
+            **about,
+            "pivot_m": None if pivot_m is None else np.asarray(pivot_m, float).tolist(),
+            "acts": [],
+        }
+        self._write()
+
+    @property
+    def pivot_m(self) -> Float[np.ndarray, "3"] | None:
+        """The station's."""
+        return self._station.pivot_m
+
+    def capture(self) -> DepthImage:
+        """The station's frame."""
+        try:
+            image = self._station.capture()
+        except Exception as error:
+            self._note({"capture": None, "error": f"{type(error).__name__}: {error}"})
+            raise
+        name = f"{len(self._record['acts']):03d}.npz"
+        write_depth(self._folder / name, image)
+        self._note({"capture": name})
+        return image
+
+    def rotate(self, R_step: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
+        """The station's move."""
+        asked = np.asarray(R_step, float).tolist()
+        try:
+            done = self._station.rotate(R_step)
+        except Exception as error:
+            self._note({"rotate": asked, "executed": None, "error": f"{type(error).__name__}: {error}"})
+            raise
+        clock = getattr(self._station, "clock_s", None)
+        self._note({"rotate": asked, "executed": _plain(done), "clock_s": clock() if clock else None})
+        return done
+
+    def finish(self, reason: str, converged: bool) -> None:
+        """Note how the loop ended."""
+        self._record |= {"reason": reason, "converged": converged}
+        self._write()
+
+    def __getattr__(self, name: str) -> Any:
+        """What a station may have beside: ``reachable``, ``clock_s``."""
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return getattr(self._station, name)
+
+    def _note(self, act: dict[str, Any]) -> None:
+        self._record["acts"].append(act)
+        self._write()
+
+    def _write(self) -> None:
+        with replacing(self._folder / "record.json") as temporary:
+            temporary.write_text(json.dumps(self._record))
+
+
+class ReplayedStation:
+    """A record as a station: the same frames, answers and failures. A loop that asks for another move than the recorded
+    one has left the record, and is told so (StationError)."""
+
+    def __init__(self, folder: str | Path) -> None:
+        """Raises ReorientError for a folder without a record, or a broken one."""
+        self._folder = Path(folder)
+        try:
+            self.record: dict[str, Any] = json.loads((self._folder / "record.json").read_text())
+            self._acts = list(self.record["acts"])
+            pivot = self.record["pivot_m"]
+            self._pivot_m = None if pivot is None else np.array(pivot, float)
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise ReorientError(
+                f"no record in {str(folder)!r} ({error}): expected what `reorient orient --record` wrote"
+            ) from error
+        self._next = 0
+        self._clock_s = -np.inf
+
+    @property
+    def pivot_m(self) -> Float[np.ndarray, "3"] | None:
+        """The station's."""
+        return self._pivot_m
+
+    def goal(self) -> DepthImage:
+        """The goal image of the record."""
+        return read_depth(self._folder / "goal.npz")
+
+    def capture(self) -> DepthImage:
+        """The next frame of the record."""
+        act = self._act("capture")
+        return read_depth(self._folder / act["capture"])
+
+    def rotate(self, R_step: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
+        """What the recorded move did, if this is the recorded move."""
+        act = self._act("rotate", R_step)
+        if act.get("clock_s") is not None:
+            self._clock_s = float(act["clock_s"])
+        return np.array(act["executed"], float)
+
+    def clock_s(self) -> float:
+        """The station's clock after the last move; minus infinity where it had none."""
+        return self._clock_s
+
+    def _act(self, kind: str, R_step: Float[np.ndarray, "3 3"] | None = None) -> dict[str, Any]:
+        if self._next >= len(self._acts):
+            raise StationError("the record ends here")
+        act = self._acts[self._next]
+        if kind not in act:
+            raise StationError(f"the loop leaves the record at act {self._next}: it asks to {kind}")
+        if R_step is not None:
+            away_rad = float(so3.angle_difference(np.array(act["rotate"], float), np.asarray(R_step, float)))
+            if away_rad > SAME_RAD:
+                raise StationError(
+                    f"the loop leaves the record at act {self._next}: it asks for a move {np.degrees(away_rad):.1f} "
+                    "degrees off the recorded one"
+                )
+        self._next += 1
+        if act.get("error"):
+            raise StationError(f"recorded failure: {act['error']}")
+        return act
+
+
+def _plain(R: Any) -> Any:
+    """What a station said it did, as JSON; None for what is no array of numbers."""
+    try:
+        return np.asarray(R, float).tolist()
+    except (TypeError, ValueError):
+        return None

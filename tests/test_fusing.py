@@ -1,0 +1,326 @@
+"""The strategy fusing: few moves, flips found out on arrival, memory, limits, and what faults do to it."""
+
+import numpy as np
+import pytest
+
+from reorient import Fusing, Limits, Proportional, StationError, load_estimator, orient, so3
+from reorient.controller.base import Step
+from reorient.controller.limits import nearest_reachable
+from reorient.controller.memory import average, candidates, stands
+from reorient.errors import ReorientError
+from reorient.estimators.base import RotationEstimate
+from reorient.estimators.evidence import Evidence
+from reorient.recognition import likeness, upright_axes
+from reorient.rendering import load_world
+from reorient.sensing import randomised
+from reorient.stations.faulty import FaultyStation
+from reorient.stations.rendered import RenderedStation
+
+WORLD = load_world("benchmark")
+NOW = Limits(wait_s=0.0)
+SEEN = Evidence(1, 0, 0, 0, 0.0)
+
+
+class Oracle:
+    """Knows the truth but for ``error_rad``; where ``flip`` is given, it takes that for the goal's orientation as often
+    as it is nearer to it."""
+
+    def __init__(self, station, R_goal, error_rad=0.0, flip=None, confidence=0.97):
+        self.station, self.R_goal, self.error_rad, self.confidence = station, R_goal, error_rad, confidence
+        self.flip = flip
+        self.rng = np.random.default_rng(0)
+        self.histories = []
+
+    def estimate(self, current, goal, pivot_m=None, history=()):
+        self.histories.append(len(history))
+        if np.count_nonzero(current.depth_m) < 20:
+            raise ReorientError("current image has 1 returns")
+        R = self.R_goal @ self.station.R_camera_object.T
+        if self.flip is not None:
+            other = self.flip @ R
+            R = min((R, other), key=lambda x: float(so3.angle(x)))
+        R = so3.exp(self.rng.normal(0, self.error_rad, 3)) @ R
+        center = self.station.placement.center_m
+        return RotationEstimate(R, center - R @ center, SEEN, confidence=self.confidence)
+
+
+def cell(mesh, start_deg=100.0, seed=5, noise_m=0.0):
+    """A station away from its goal: (station, goal image, goal orientation)."""
+    rng = np.random.default_rng(seed)
+    station = RenderedStation(mesh, WORLD, randomised(noise_m), rng)
+    goal, R_goal = station.capture_goal(), station.R_camera_object
+    turn = np.radians(start_deg)
+    station.rotate(so3.matrix_from_quat(so3.sample_bounded(rng, 1, turn, turn))[0])
+    return station, goal, R_goal
+
+
+def left_deg(station, R_goal):
+    return float(np.degrees(so3.angle_difference(R_goal, station.R_camera_object)))
+
+
+def test_it_takes_the_whole_move_looks_twice_and_is_done(mesh):
+    station, goal, R_goal = cell(mesh)
+    result = orient(station, goal, Oracle(station, R_goal), Fusing())
+    assert result.converged
+    assert (result.moves, left_deg(station, R_goal) < 1e-4) == (1, True)
+    assert len(result.steps) == 4  # one before the move, three that agree after it
+    assert result.confidence > 0.9
+    assert all(step.said for step in result.steps)
+
+
+def test_averaging_beats_single_estimates(mesh):
+    ends = []
+    for seed in range(6):
+        station, goal, R_goal = cell(mesh, 30, seed)
+        result = orient(station, goal, Oracle(station, R_goal, np.radians(0.3)), Fusing())
+        assert result.moves <= 5
+        ends.append(left_deg(station, R_goal))
+    assert np.mean(ends) < 0.75 * np.degrees(np.linalg.norm([np.radians(0.3)] * 3))
+
+
+def test_a_false_arrival_is_found_out_and_left(mesh):
+    """An estimator that cannot tell a half turn; the images can."""
+    station, goal, R_goal = cell(mesh, 170.0)
+    axis = upright_axes(goal)[0]
+    result = orient(station, goal, Oracle(station, R_goal, flip=so3.exp(np.pi * axis)), Fusing(), limits=NOW)
+    assert result.converged
+    assert left_deg(station, R_goal) < 3
+    assert any("half turn" in step.said for step in result.steps)
+    assert result.moves <= 8
+
+
+def test_what_never_matches_is_announced(mesh):
+    station, goal, R_goal = cell(mesh)
+    wrong = Oracle(station, so3.exp(np.array([1.0, 0.8, 0.3])) @ R_goal)  # sure of another orientation, always
+    result = orient(station, goal, wrong, Fusing(), limits=NOW)
+    assert not result.converged
+    assert result.confidence < 0.5
+    assert result.moves <= Fusing().most_moves
+
+
+def test_likeness_tells_the_pose_from_another(mesh):
+    station, goal, R_goal = cell(mesh, noise_m=0.001)
+    for R, right in ((R_goal, True), (so3.exp(np.array([np.pi, 0, 0])) @ R_goal, False)):
+        station.R_camera_object = R
+        captures = [station.capture(), station.capture()]
+        still = RotationEstimate(np.eye(3), np.zeros(3), SEEN)
+        assert (likeness(captures, goal, [still, still]) > 0) == right
+
+
+def test_upright_axes_of_a_box_are_its_own():
+    import trimesh
+
+    station = RenderedStation(trimesh.creation.box((1, 0.7, 0.5)), WORLD, randomised(), np.random.default_rng(2))
+    axes = upright_axes(station.capture_goal())
+    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-6)
+    assert np.abs(axes @ station.R_camera_object).max(axis=1).min() > np.cos(np.radians(3))
+
+
+def test_of_equivalent_orientations_the_nearest_is_taken(mesh):
+    station, goal, R_goal = cell(mesh, 20.0)
+    R = R_goal @ station.R_camera_object.T
+    far = so3.exp(np.array([0, 0, 2.0])) @ R
+    step = Step(0, goal, RotationEstimate(far, np.zeros(3), SEEN, 0.5, ((R, 0.45),)), None, None)
+    np.testing.assert_allclose(Fusing().decide([step], goal, lambda _: True).R_step, R)
+    unreachable = Fusing().decide([step], goal, lambda x: float(so3.angle(x)) > 1)
+    np.testing.assert_allclose(unreachable.R_step, far)
+
+
+def test_claims_are_carried_along_and_add_up(mesh):
+    """Two views that each leave two orientations open settle it together; an unknown move ends the chain."""
+    station, goal, R_goal = cell(mesh, 100.0)
+    R = R_goal @ station.R_camera_object.T
+    step_of = so3.exp(np.array([0.7, 0, 0.2]))
+    other, third = so3.exp(np.array([0, 2.0, 0])) @ R, so3.exp(np.array([0, 0, 2.5])) @ R @ step_of.T
+    first = Step(0, goal, RotationEstimate(other, np.zeros(3), SEEN, 0.5, ((R, 0.4),)), step_of, step_of)
+    second = Step(1, goal, RotationEstimate(third, np.zeros(3), SEEN, 0.5, ((R @ step_of.T, 0.4),)), None, None)
+    best = candidates(stands([first, second], goal))[0]
+    np.testing.assert_allclose(best.R_goal_now, R @ step_of.T, atol=1e-9)
+    lost = Step(0, goal, first.estimate, step_of, None, fault="refused")
+    decision = Fusing().decide([lost, second], goal, lambda _: True)
+    assert "100%" not in decision.said
+
+
+def test_the_average_is_robust_and_carried_by_moves(mesh):
+    goal = cell(mesh, 1.0)[1]
+    rng = np.random.default_rng(1)
+    R = so3.exp(np.array([0.01, 0.0, 0.0]))
+    steps = []
+    for k in range(6):
+        error = rng.normal(0, 0.003, 3) if k != 3 else np.array([0.1, 0, 0])
+        move = so3.exp(np.array([0.004, 0.002, 0.0])) if k == 2 else None
+        estimate = RotationEstimate(so3.exp(error) @ R, np.zeros(3), SEEN, 0.9)
+        steps.append(Step(k, goal, estimate, move, move))
+        R = R if move is None else R @ move.T
+    middle, error_rad = average(steps, R)
+    assert float(so3.angle_difference(middle, R)) < 0.004
+    assert 0 < error_rad < 0.01
+
+
+def test_the_default_strategy_suits_the_estimator(mesh):
+    station, goal, R_goal = cell(mesh)
+    assert orient(station, goal, Oracle(station, R_goal)).moves == 1
+    station, goal, R_goal = cell(mesh)
+    assert orient(station, goal, Oracle(station, R_goal, confidence=None)).moves > 15
+
+
+def test_history_is_given_when_asked_for(mesh):
+    for memory, most in ((True, 3), (False, 0)):
+        station, goal, R_goal = cell(mesh)
+        oracle = Oracle(station, R_goal)
+        orient(station, goal, oracle, Fusing(memory=memory))
+        assert max(oracle.histories) == most
+
+
+def test_default_from_far_in_few_moves(mesh):
+    station, goal, R_goal = cell(mesh, 150.0, noise_m=0.001)
+    result = orient(station, goal, load_estimator("fast"))
+    assert result.converged
+    assert left_deg(station, R_goal) < 1
+    assert result.moves <= 6
+
+
+@pytest.mark.parametrize("kind", ["stale", "empty", "gone", "slip", "refused", "partly"])
+def test_each_fault_is_survived(mesh, kind):
+    for seed in range(2):
+        station, goal, R_goal = cell(mesh, 60.0, seed)
+        faulty = FaultyStation(station, np.random.default_rng(seed), planned=[kind])
+        result = orient(faulty, goal, Oracle(station, R_goal), Fusing(), limits=NOW)
+        assert faulty.met == [kind]
+        assert result.converged
+        assert left_deg(station, R_goal) < 0.5
+        assert bool(result.faults) == (kind not in ("slip", "partly"))
+
+
+@pytest.mark.parametrize("kind", ["gone", "refused"])
+def test_what_keeps_failing_ends_the_loop_with_the_record_kept(mesh, kind):
+    station, goal, R_goal = cell(mesh, 60.0)
+    faulty = FaultyStation(station, np.random.default_rng(0), planned=[kind] * 20)
+    result = orient(faulty, goal, Oracle(station, R_goal), Fusing(), limits=NOW)
+    assert not result.converged
+    assert result.reason == result.faults[-1]
+    assert len(result.faults) == Fusing().patience + 1
+    assert result.steps
+
+
+def test_an_estimator_that_fails_is_asked_again_with_another_image(mesh):
+    station, goal, R_goal = cell(mesh)
+
+    class Moody(Oracle):
+        calls = 0
+
+        def estimate(self, *arguments):
+            self.calls += 1
+            if self.calls % 2:
+                raise ZeroDivisionError("singular")
+            return super().estimate(*arguments)
+
+    result = orient(station, goal, Moody(station, R_goal), limits=NOW)
+    assert result.converged
+    assert "the estimator failed: ZeroDivisionError: singular" in result.faults[0]
+
+
+def test_faults_at_random_never_hang_nor_deceive(mesh):
+    for seed in range(12):
+        station, goal, R_goal = cell(mesh, 90.0, seed)
+        faulty = FaultyStation(station, np.random.default_rng(seed), 0.15, np.radians(2))
+        result = orient(faulty, goal, Oracle(station, R_goal, np.radians(0.2)), Fusing(), limits=NOW)
+        assert len(result.steps) <= Fusing().max_steps
+        assert not result.converged or left_deg(station, R_goal) < 5
+
+
+def test_slack_in_the_turns_is_made_good(mesh):
+    station, goal, R_goal = cell(mesh, 90.0)
+    loose = FaultyStation(station, np.random.default_rng(0), slack_rad=np.radians(2))
+    result = orient(loose, goal, Oracle(station, R_goal, np.radians(0.2)), Fusing())
+    assert result.converged
+    assert left_deg(station, R_goal) < 0.6
+
+
+def test_a_frame_from_before_the_move_is_refused(mesh):
+    station, goal, R_goal = cell(mesh)
+    captured = [station.capture(), station.capture()]  # both before any move
+
+    class Buffered:
+        pivot_m = station.pivot_m
+        rotate = staticmethod(station.rotate)
+        clock_s = staticmethod(station.clock_s)
+
+        @staticmethod
+        def capture():
+            return captured.pop(0)
+
+    result = orient(Buffered(), goal, Oracle(station, R_goal), Proportional())
+    assert result.moves == 1
+    assert "stale frame" in result.reason
+
+
+def test_limits(mesh):
+    def run(**limits):
+        station, goal, R_goal = cell(mesh, 100.0)
+        parts = []
+
+        class Counting:
+            pivot_m = station.pivot_m
+            capture = staticmethod(station.capture)
+
+            @staticmethod
+            def rotate(R_step):
+                parts.append(float(np.degrees(so3.angle(R_step))))
+                return station.rotate(R_step)
+
+        return orient(Counting(), goal, Oracle(station, R_goal), Fusing(), limits=Limits(**limits)), parts
+
+    result, parts = run(largest_step_rad=np.radians(30))
+    assert result.converged
+    np.testing.assert_allclose(parts, [25] * 4, atol=1e-6)
+    result, parts = run(largest_total_rad=np.radians(90))
+    assert (parts, result.converged) == ([], False)
+    assert "would exceed the largest total rotation" in result.reason
+    result, parts = run(dry_run=True)
+    assert (parts, result.moves) == ([], 0)
+    assert "dry run: would turn by 100.0 degrees" in result.reason
+    asked = []
+    result, parts = run(confirm=lambda R: bool(asked.append(R)))
+    assert (parts, len(asked)) == ([], 1)
+    assert "was not confirmed" in result.reason
+    result, parts = run(confirm=lambda R: asked.append(R) is None)
+    assert result.converged
+    assert len(asked) == 2  # the first move only
+    with pytest.raises(ReorientError, match="expected angles above 0"):
+        Limits(largest_step_rad=0)
+    with pytest.raises(ReorientError, match="expected at least 2 images"):
+        Fusing(max_steps=1)
+
+
+def test_a_goal_out_of_reach_is_reported_with_the_nearest_reachable(mesh):
+    station, goal, R_goal = cell(mesh, 100.0)
+    turned = [np.eye(3)]
+
+    class Narrow:
+        """Turns by at most 60 degrees from where it began."""
+
+        pivot_m = station.pivot_m
+        capture = staticmethod(station.capture)
+
+        @staticmethod
+        def reachable(R_step):
+            return bool(so3.angle(R_step @ turned[0]) < np.radians(60))
+
+        def rotate(self, R_step):
+            if not self.reachable(R_step):
+                raise StationError("out of reach")
+            turned[0] = R_step @ turned[0]
+            return station.rotate(R_step)
+
+    result = orient(Narrow(), goal, Oracle(station, R_goal), Fusing(), limits=NOW)
+    assert not result.converged
+    assert "the nearest reachable orientation leaves" in result.reason
+    assert left_deg(station, R_goal) < 47  # 40 at best
+
+
+def test_nearest_reachable():
+    R_step = so3.exp(np.array([0, 0, 1.5]))
+    near = nearest_reachable(R_step, lambda R: float(so3.angle(R)) < 1.0)
+    assert float(so3.angle_difference(near, R_step)) < 0.6
+    assert nearest_reachable(R_step, lambda R: False) is None
