@@ -64,7 +64,7 @@ def test_rounds_make_it_better():
     """Each round sees the current image turned by the answer so far."""
     from reorient.estimators.learned import Learned
 
-    once, thrice = Learned("swift"), Learned("swift", rounds=3)
+    once, thrice = Learned("swift", rounds=1), Learned("swift", rounds=3)
     errors = np.array(
         [
             [so3.angle_difference(e.estimate(current, goal).R_goal_current, R) for e in (once, thrice)]
