@@ -86,8 +86,8 @@ def pose(
         then = Surface(image)
         R = np.asarray(R_now_then, float)
         before = frame_of(then, now, pivot_m)
-        start = Hypotheses(R[None], before.start(R[None]))
-        placed = descend(Problem((Look(then, np.eye(3), np.zeros(3)),), now, before), start, _PLACING, 400, turn=False)
+        to_now = Problem((Look(then, np.eye(3), np.zeros(3)),), now, before)
+        placed = descend(to_now, Hypotheses(R[None], to_now.start(R[None])), _PLACING, 400, turn=False)
         looks.append(Look(then, R, placed.t_m[0]))
     return Problem(tuple(looks), target, frame)
 

@@ -94,15 +94,15 @@ class View:
 
     def surface_m(self, place: Int[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
         """The surface's depth at places; ``NOWHERE_M`` outside the silhouette."""
-        return self._surface_m[place]
+        return self._surface_m.take(place)
 
     def depth_m(self, place: Int[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
         """The depth of the nearest return at places."""
-        return self._depth_m[place]
+        return self._depth_m.take(place)
 
     def gap_px(self, place: Int[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
         """By how many pixels beyond ``GAP_PX`` places miss the object; 0 on it."""
-        return np.maximum(self._gap_px[place] - GAP_PX, 0)
+        return np.maximum(self._gap_px.take(place) - GAP_PX, 0)
 
     def compare(
         self, points_m: Float[np.ndarray, "*batch 3"]
