@@ -194,5 +194,5 @@ def load_judge(path: Path = WEIGHTS) -> Judge:
             f"cannot read the judge {str(path)!r} ({error}): expected the package's judge.npz"
         ) from error
     if names != FEATURES:
-        raise ReorientError(f"the judge {str(path)!r} was trained on other figures: expected {', '.join(FEATURES)}")
+        raise ReorientError(f"the judge {str(path)!r} was trained on other figures: expected this version's; train anew")
     return judge

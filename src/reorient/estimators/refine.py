@@ -14,7 +14,7 @@ from jaxtyping import Float
 from numpy.random import Generator
 
 from reorient import so3
-from reorient.estimators.evidence import NOWHERE_M, agreement, moved
+from reorient.estimators.evidence import NOWHERE_M, agreement, batches, moved
 from reorient.estimators.surface import Frame, Surface
 
 FRONT_WEIGHT, OUTSIDE_WEIGHT = np.float32(0.25), np.float32(0.5)  # of what contradicts, beside 1 for what fits
@@ -38,7 +38,7 @@ class Hypotheses:
     def __len__(self) -> int:
         return len(self.R)
 
-    def __getitem__(self, chosen: np.ndarray) -> "Hypotheses":
+    def __getitem__(self, chosen: np.ndarray | slice) -> "Hypotheses":
         return Hypotheses(self.R[chosen], self.t_m[chosen])
 
     def after(self, R_now_then: Float[np.ndarray, "3 3"], t_now_then_m: Float[np.ndarray, "3"]) -> "Hypotheses":
@@ -145,8 +145,10 @@ def normal_equations(
     """Of the robust squares and the prior: a turn about the centre (rad) and a shift (half sizes), on the left."""
     frame = problem.frame
     total = np.zeros((len(hypotheses), 7, 7))
+    shared = problem.share(points)
     for look in problem.looks:
-        total += _moments(look, problem.goal, hypotheses, frame, tolerance * frame.size_m, problem.share(points))
+        for batch in batches(len(hypotheses), 2 * shared):
+            total[batch] += _moments(look, problem.goal, hypotheses[batch], frame, tolerance * frame.size_m, shared)
     total *= INDEPENDENT / len(problem.looks) / (tolerance * frame.size_m) ** 2
     H, g = total[:, :6, :6].copy(), total[:, :6, 6].copy()
     if frame.pivot_known:
