@@ -264,12 +264,12 @@ def test_trees_by_hand():
         value=np.array([[0.0, -2.0, 0.0, 1.0, 3.0]]),
         depth=2,
         baseline=0.5,
-        scale=2.0,
-        shift=-1.0,
+        calibration={"normal": (2.0, -1.0), "fast": (1.0, 0.0)},
     )
     figures = np.array([[9.0, 0.5], [2.0, 0.6], [2.1, 0.6]])
     np.testing.assert_allclose(judge.log_odds(figures), [-1.5, 1.5, 3.5])
-    np.testing.assert_allclose(judge.probability(np.array([0.5])), [0.5])
+    np.testing.assert_allclose(judge.probability(np.array([0.5]), "normal"), [0.5])
+    np.testing.assert_allclose(judge.probability(np.array([0.0]), "fast"), [0.5])
 
 
 def test_a_file_that_is_no_judge_is_refused(tmp_path):

@@ -5,6 +5,7 @@ that were trained on hypotheses of known error (``reorient.judging``). The trees
 card is ``judge.md``.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -161,9 +162,8 @@ class Judge:
     """(trees, nodes) log odds that a leaf adds."""
     depth: int
     baseline: float
-    scale: float
-    """Of the log odds of the chosen hypothesis, from held-out objects."""
-    shift: float
+    calibration: Mapping[str, tuple[float, float]]
+    """By effort, scale and shift of the log odds of the chosen hypothesis, from held-out objects."""
 
     def log_odds(self, figures: Float[np.ndarray, "k f"]) -> Float[np.ndarray, " k"]:
         """That the symmetry-aware error of each hypothesis is below 5 degrees, as the trees say."""
@@ -175,9 +175,10 @@ class Judge:
             node = np.where(goes_left, self.left[trees, node], self.right[trees, node])
         return self.value[trees, node].sum(axis=1) + self.baseline
 
-    def probability(self, log_odds: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-        """Calibrated."""
-        return 1 / (1 + np.exp(-(self.scale * log_odds + self.shift)))
+    def probability(self, log_odds: Float[np.ndarray, " k"], effort: str) -> Float[np.ndarray, " k"]:
+        """Calibrated: a longer search leaves more that looks right and is not."""
+        scale, shift = self.calibration[effort]
+        return 1 / (1 + np.exp(-(scale * log_odds + shift)))
 
 
 @cache
@@ -187,12 +188,13 @@ def load_judge(path: Path = WEIGHTS) -> Judge:
         with np.load(path, allow_pickle=False) as arrays:
             names = tuple(arrays["features"].tolist())
             trees = {name: arrays[name] for name in ("feature", "threshold", "left", "right", "value")}
-            baseline, scale, shift = (float(arrays[name]) for name in ("baseline", "scale", "shift"))
-            judge = Judge(**trees, depth=int(arrays["depth"]), baseline=baseline, scale=scale, shift=shift)
+            calibration = dict(zip(arrays["efforts"].tolist(), map(tuple, arrays["calibration"].tolist()), strict=True))
+            depth, baseline = int(arrays["depth"]), float(arrays["baseline"])
+            judge = Judge(**trees, depth=depth, baseline=baseline, calibration=calibration)
     except (OSError, ValueError, KeyError) as error:
         raise ReorientError(
             f"cannot read the judge {str(path)!r} ({error}): expected the package's judge.npz"
         ) from error
     if names != FEATURES:
-        raise ReorientError(f"the judge {str(path)!r} was trained on other figures: expected this version's; train anew")
+        raise ReorientError(f"the judge {str(path)!r} was trained on figures of another version: train it anew")
     return judge
