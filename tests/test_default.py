@@ -12,7 +12,7 @@ from reorient.errors import ReorientError
 from reorient.estimators import load_estimator
 from reorient.estimators.default import Default, pose
 from reorient.estimators.judge import FEATURES, Judge, features, load_judge
-from reorient.estimators.refine import Hypotheses, descend, distinct, normal_equations, scatter
+from reorient.estimators.refine import BOX_POINTS, Hypotheses, descend, distinct, normal_equations, scatter
 from reorient.estimators.search import EFFORTS, search
 from reorient.estimators.surface import LARGEST_PX, compact
 from reorient.explaining import in_words, picture
@@ -77,6 +77,15 @@ def test_many_are_the_same_as_one_by_one(mesh):
     for estimate, pair in zip(many, pairs, strict=True):
         alone = estimator.estimate(pair.current, pair.goal, pair.pivot_m)
         np.testing.assert_array_equal(estimate.R_goal_current, alone.R_goal_current)
+
+
+@pytest.mark.parametrize("effort", ["fast", "normal", "thorough"])
+def test_every_effort_answers_and_has_its_calibration(mesh, effort):
+    pair = pair_of(mesh, 2, 50, randomised(0.001))
+    estimate = Default(effort).estimate(pair.current, pair.goal, pair.pivot_m)
+    assert errors_deg(estimate.R_goal_current, pair.R_goal_current) < 5
+    assert 0.5 < estimate.confidence <= 1
+    assert set(load_judge().calibration) == set(EFFORTS)
 
 
 def test_unknown_effort():
@@ -191,6 +200,34 @@ def test_the_pivot_costs_nothing_that_leaves_it_in_place(mesh, rng):
     assert np.all(frame.surprise(R, t_m + 0.01 * along) > frame.surprise(R, t_m + 0.01 * across))
 
 
+def test_first_translations(mesh, rng):
+    """About a known pivot; else what is seen stands where the goal stands, whatever the rotation."""
+    pair, R = pair_of(mesh, 3, 120), so3.sample_uniform(rng, 5)
+    known = pose(pair.current, pair.goal, pair.pivot_m)
+    np.testing.assert_allclose(R @ pair.pivot_m + known.start(R), np.broadcast_to(pair.pivot_m, (5, 3)))
+    unknown = pose(pair.current, pair.goal, None)
+    seen, goal = (x.sample(BOX_POINTS).T for x in (unknown.looks[0].surface, unknown.goal))
+    for turn, t_m in zip(R, unknown.start(R), strict=True):
+        x = seen @ turn.T + t_m
+        low, high = np.stack([x.min(axis=0), goal.min(axis=0)]), np.stack([x.max(axis=0), goal.max(axis=0)])
+        np.testing.assert_allclose(*(low + high)[:, :2] / 2, atol=1e-6)
+        np.testing.assert_allclose(*low[:, 2], atol=1e-6)
+
+
+def test_hypotheses_do_not_depend_on_their_company(mesh, rng):
+    """Batches are only a matter of speed."""
+    pair = pair_of(mesh, 3, 60)
+    problem, R = pose(pair.current, pair.goal, None), so3.sample_uniform(rng, 700)
+    every = Hypotheses(R, problem.start(R))
+    alone = every[np.array([0, 350, 699])]
+    scores = problem.score(every, 0.03, 100)
+    np.testing.assert_allclose(scores[[0, 350, 699]], problem.score(alone, 0.03, 100), atol=1e-6)
+    H, g = normal_equations(problem, every, 0.03, 60)
+    H_alone, g_alone = normal_equations(problem, alone, 0.03, 60)
+    np.testing.assert_allclose(H[[0, 350, 699]], H_alone, rtol=1e-3, atol=1e-2)
+    np.testing.assert_allclose(g[[0, 350, 699]], g_alone, rtol=1e-3, atol=1e-2)
+
+
 def step_rad(H, g):
     """The turn of an undamped Gauss-Newton step."""
     return -np.linalg.solve(H, g[:, :, None])[0, :3, 0]
@@ -264,12 +301,12 @@ def test_trees_by_hand():
         value=np.array([[0.0, -2.0, 0.0, 1.0, 3.0]]),
         depth=2,
         baseline=0.5,
-        scale=2.0,
-        shift=-1.0,
+        calibration={"normal": (2.0, -1.0), "fast": (1.0, 0.0)},
     )
     figures = np.array([[9.0, 0.5], [2.0, 0.6], [2.1, 0.6]])
     np.testing.assert_allclose(judge.log_odds(figures), [-1.5, 1.5, 3.5])
-    np.testing.assert_allclose(judge.probability(np.array([0.5])), [0.5])
+    np.testing.assert_allclose(judge.probability(np.array([0.5]), "normal"), [0.5])
+    np.testing.assert_allclose(judge.probability(np.array([0.0]), "fast"), [0.5])
 
 
 def test_a_file_that_is_no_judge_is_refused(tmp_path):

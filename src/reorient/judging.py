@@ -4,7 +4,7 @@ The data is made in shards of a few objects each, a file a shard, so that an int
 Training is offline only (extra ``train``: scikit-learn); what it writes needs numpy alone.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from multiprocessing import get_context
@@ -148,30 +148,48 @@ def read(folder: Path) -> Shards:
 # --- training -------------------------------------------------------------------------------------------------------
 
 
-def train(data: Shards, out: Path, held_out: float = 0.25, trees: int = 250) -> dict[str, float]:
-    """Boosted trees on part of the objects, calibrated on the others; writes ``out`` (.npz), returns figures of these.
+def train(
+    data: Shards, out: Path, others: Mapping[str, Shards] | None = None, held_out: float = 0.2, trees: int = 600
+) -> dict[str, float]:
+    """Boosted trees on part of the objects, calibrated on the rest; writes ``out`` (.npz), returns figures of the rest.
 
-    The confidence is about the *chosen* hypothesis, so that is what it is calibrated on.
+    ``data`` is of effort "normal". ``others``: what other efforts made, of other objects, to calibrate them on; an
+    effort that is missing is calibrated as "normal". The confidence is about the *chosen* hypothesis, so that is what
+    it is calibrated on.
     """
     rng = np.random.default_rng(0)
     objects = np.unique(data.object)
     apart = np.isin(data.object, rng.permutation(objects)[: max(int(held_out * len(objects)), 1)])
-    fitted, kept = data.of(~apart), data.of(apart)
-    model = _fit(fitted, trees)
-    arrays = _arrays(model)
-    chosen = _chosen(kept, model.decision_function(kept.figures))
-    scale, shift = _platt(model.decision_function(kept.figures)[chosen], kept.right[chosen])
-    with replacing(out) as temporary:
-        np.savez_compressed(temporary, features=np.array(FEATURES), scale=scale, shift=shift, **arrays)
-    return {
+    model = _fit(data.of(~apart), trees)
+    kept = {"normal": data.of(apart), **(others or {})}
+    result: dict[str, float] = {
         "objects": len(objects),
         "pairs": len(np.unique(data.pair)),
         "hypotheses": len(data.pair),
-        "held-out pairs": len(chosen),
-        "right": float(kept.right[chosen].mean()),
-        "right by agreement": float(kept.right[_chosen(kept, kept.figures[:, FEATURES.index("agreement")])].mean()),
-        "right at best": float(np.mean([kept.right[kept.pair == pair].any() for pair in np.unique(kept.pair)])),
     }
+    fitted = {}
+    for effort, shards in kept.items():
+        odds = model.decision_function(shards.figures)
+        chosen = _chosen(shards, odds)
+        fitted[effort] = _platt(odds[chosen], shards.right[chosen])
+        by_agreement = _chosen(shards, shards.figures[:, FEATURES.index("agreement")])
+        result |= {
+            f"{effort}: held-out pairs": len(chosen),
+            f"{effort}: right": float(shards.right[chosen].mean()),
+            f"{effort}: right by agreement": float(shards.right[by_agreement].mean()),
+            f"{effort}: right at best": float(shards.right[_chosen(shards, -shards.error_deg)].mean()),
+            f"{effort}: log loss": _log_loss(fitted[effort], odds[chosen], shards.right[chosen]),
+        }
+    calibration = np.array([fitted.get(effort, fitted["normal"]) for effort in EFFORTS])
+    with replacing(out) as temporary:
+        np.savez_compressed(
+            temporary,
+            features=np.array(FEATURES),
+            efforts=np.array(list(EFFORTS)),
+            calibration=calibration,
+            **_arrays(model),
+        )
+    return result
 
 
 def _fit(data: Shards, trees: int) -> Any:
@@ -179,10 +197,11 @@ def _fit(data: Shards, trees: int) -> Any:
 
     model = HistGradientBoostingClassifier(
         max_iter=trees,
-        learning_rate=0.05,
-        max_leaf_nodes=16,
-        min_samples_leaf=40,
+        learning_rate=0.03,
+        max_leaf_nodes=31,
+        min_samples_leaf=80,
         l2_regularization=5.0,
+        max_features=0.25,
         random_state=0,
     )
     return model.fit(data.figures, data.right)
@@ -203,6 +222,13 @@ def _platt(log_odds: Float[np.ndarray, " n"], right: Bool[np.ndarray, " n"]) -> 
         gradient = x.T @ (p - right) + 0.1 * (w - [1.0, 0.0])
         w = w - np.linalg.solve((x * (p * (1 - p))[:, None]).T @ x + 0.1 * np.eye(2), gradient)
     return float(w[0]), float(w[1])
+
+
+def _log_loss(
+    calibration: tuple[float, float], log_odds: Float[np.ndarray, " n"], right: Bool[np.ndarray, " n"]
+) -> float:
+    scale, shift = calibration
+    return float(np.mean(np.logaddexp(0, np.where(right, -1, 1) * (scale * log_odds + shift))))
 
 
 def _arrays(model: Any) -> dict[str, Any]:

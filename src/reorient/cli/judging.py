@@ -40,12 +40,18 @@ class Train:
     """What ``reorient judge make`` wrote."""
     out: Positional[Path]
     """File to write (.npz)."""
+    fast: Path | None = None
+    """What it wrote of other objects with ``--effort fast``, to calibrate that."""
+    thorough: Path | None = None
+    """The same with ``--effort thorough``."""
 
     def run(self) -> None:
         """Read, train, write, print."""
         from reorient.judging import read, train
 
-        for name, value in train(read(self.data), self.out).items():
+        folders = {"fast": self.fast, "thorough": self.thorough}
+        others = {effort: read(folder) for effort, folder in folders.items() if folder is not None}
+        for name, value in train(read(self.data), self.out, others).items():
             print(f"{name}: {value:.4g}")
 
 

@@ -45,7 +45,7 @@ class Default:
         """Raises ReorientError for an unknown effort."""
         if effort not in EFFORTS:
             raise unknown_name("effort", effort, list(EFFORTS))
-        self._effort = EFFORTS[effort]
+        self._effort = effort
 
     def estimate(
         self,
@@ -57,7 +57,7 @@ class Default:
         """As ``Estimator.estimate``; of the history the captures that show the most new are used."""
         check_pair(current, goal, pivot_m)
         problem = pose(current, goal, pivot_m, history)
-        return verdict(problem, search(problem, self._effort), load_judge())
+        return verdict(problem, search(problem, EFFORTS[self._effort]), load_judge(), self._effort)
 
     def estimate_many(
         self,
@@ -86,8 +86,8 @@ def pose(
         then = Surface(image)
         R = np.asarray(R_now_then, float)
         before = frame_of(then, now, pivot_m)
-        start = Hypotheses(R[None], before.start(R[None]))
-        placed = descend(Problem((Look(then, np.eye(3), np.zeros(3)),), now, before), start, _PLACING, 400, turn=False)
+        to_now = Problem((Look(then, np.eye(3), np.zeros(3)),), now, before)
+        placed = descend(to_now, Hypotheses(R[None], to_now.start(R[None])), _PLACING, 400, turn=False)
         looks.append(Look(then, R, placed.t_m[0]))
     return Problem(tuple(looks), target, frame)
 
@@ -109,10 +109,10 @@ def _most_telling(history: History) -> list[tuple[DepthImage, Float[np.ndarray, 
     return chosen
 
 
-def verdict(problem: Problem, hypotheses: Hypotheses, judge: Judge) -> RotationEstimate:
-    """The likeliest hypothesis, polished, and what else may be meant."""
+def verdict(problem: Problem, hypotheses: Hypotheses, judge: Judge, effort: str) -> RotationEstimate:
+    """The likeliest hypothesis of a search with that effort, polished, and what else may be meant."""
     odds = np.mean([judge.log_odds(features(problem, look, hypotheses)) for look in problem.looks], axis=0)
-    probability = judge.probability(odds)
+    probability = judge.probability(odds, effort)
     order = np.argsort(-odds, kind="stable")
     best = order[0]
     answer = _polished(problem, hypotheses[order[:1]])

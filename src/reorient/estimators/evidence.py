@@ -6,7 +6,9 @@ silhouette, where the camera saw nothing of the object; or it lies *behind* the 
 In front and outside speak against the hypothesis, behind says nothing.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from math import ceil
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -17,7 +19,11 @@ from reorient.depth import DepthImage
 GAP_PX = 2.0  # holes and gaps no wider either way count as surface
 NOWHERE_M = np.float32(1e3)  # the surface's depth where there is none: whatever comes before it contradicts
 _PAD = 4  # pixels around the image, more than the gap
-_AT_ONCE = 64  # hypotheses
+_AT_ONCE = 30_000  # points moved in one go: what they need stays in the cache
+
+# glibc returns freed blocks above a threshold to the system, and touching them anew costs as much as the arithmetic
+# here. Freeing one block just below 32 MB, never touched, raises the threshold for good; elsewhere it does nothing.
+np.empty(30_000_000, np.uint8)
 
 
 @dataclass(frozen=True)
@@ -94,15 +100,15 @@ class View:
 
     def surface_m(self, place: Int[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
         """The surface's depth at places; ``NOWHERE_M`` outside the silhouette."""
-        return self._surface_m[place]
+        return self._surface_m.take(place)
 
     def depth_m(self, place: Int[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
         """The depth of the nearest return at places."""
-        return self._depth_m[place]
+        return self._depth_m.take(place)
 
     def gap_px(self, place: Int[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
         """By how many pixels beyond ``GAP_PX`` places miss the object; 0 on it."""
-        return np.maximum(self._gap_px[place] - GAP_PX, 0)
+        return np.maximum(self._gap_px.take(place) - GAP_PX, 0)
 
     def compare(
         self, points_m: Float[np.ndarray, "*batch 3"]
@@ -122,6 +128,12 @@ def size_m(points: Float[np.ndarray, "n 3"]) -> float:
 def evenly(n: int, most: int) -> Int[np.ndarray, " k"]:
     """At most so many of n places, at equal steps."""
     return np.linspace(0, n - 1, min(most, n)).astype(int)
+
+
+def batches(k: int, points: int) -> Iterator[slice]:
+    """Slices of k hypotheses that each move so many points, about equally long."""
+    step = ceil(k / max(ceil(k * points / _AT_ONCE), 1))
+    return (slice(begin, begin + step) for begin in range(0, k, step))
 
 
 def moved(
@@ -150,16 +162,15 @@ def agreement(
     )
     tolerance = np.float32(tolerance_m)
     score = np.zeros(len(R_goal_current), np.float32)
-    for begin in range(0, len(score), _AT_ONCE):  # what a batch needs stays in the cache
-        batch = slice(begin, begin + _AT_ONCE)
+    for batch in batches(len(score), max(forward.shape[1], backward.shape[1])):
         R, t = R_goal_current[batch].astype(np.float32), t_goal_current_m[batch].astype(np.float32)
         R_back = np.ascontiguousarray(np.swapaxes(R, 1, 2))
         t_back = -(R_back @ t[:, :, None])[:, :, 0]
         for view, x in ((goal, moved(R, t, forward)), (current, moved(R_back, t_back, backward))):
             beyond = x[:, 2] - view.surface_m(view.pixels(x[:, 0], x[:, 1], x[:, 2]))
-            against = np.count_nonzero(beyond < -tolerance, axis=1)
-            fits = np.count_nonzero(np.abs(beyond) <= tolerance, axis=1)
-            score[batch] += ((fits - against) / (2 * x.shape[2])).astype(np.float32)
+            each = np.full(x.shape[2], 0.5 / x.shape[2], np.float32)  # a product with ones counts fastest
+            score[batch] += (beyond <= tolerance).astype(np.float32) @ each  # what fits, and what contradicts
+            score[batch] -= (beyond < -tolerance).astype(np.float32) @ (2 * each)  # which counts -1, not 1
     return score
 
 

@@ -1,10 +1,11 @@
 """The judge: how likely each hypothesis is right, from what the two images say about it.
 
-Some forty figures of evidence for each hypothesis, absolute and against the rest of its set, go through boosted trees
+Some hundred figures of evidence for each hypothesis, absolute and against the rest of its set, go through boosted trees
 that were trained on hypotheses of known error (``reorient.judging``). The trees are plain arrays in ``judge.npz``; its
 card is ``judge.md``.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -19,17 +20,27 @@ from reorient.estimators.refine import Hypotheses, Look, Problem, normal_equatio
 from reorient.estimators.surface import Surface
 
 WEIGHTS = Path(__file__).with_name("judge.npz")
-TOLERANCES = (0.0075, 0.015, 0.03)  # of the size: what still fits, finely to coarsely
-POINTS = 800  # of each image
+TOLERANCES = (0.00375, 0.0075, 0.015, 0.03)  # of the size: what still fits, finely to coarsely
+MIDDLE = 0.015
+POINTS = 1000  # of each image
 
 _ONE_WAY = (
     *(f"fit {tolerance}" for tolerance in TOLERANCES),
     *(f"in front {tolerance}" for tolerance in TOLERANCES[1:]),
-    *("outside", "far outside", "behind", "mean residual", "median residual", "normals agree", "normals differ"),
+    *(f"explained {tolerance}" for tolerance in TOLERANCES[1:3]),
+    *("outside", "far outside", "behind", "behind and facing", "depth behind", "mean residual", "median residual"),
+    *("normals agree", "normals differ", "relief across", "relief along"),
 )
 _OWN = ("angle", "turn uncertainty", "shift uncertainty", "surprise", "shift of centre", "pivot known", "returns")
 _OF_SET = ("agreement", "less than best", "lead over next", "place", "near a better one", "rivals")
-FEATURES = (*(f"least {x}" for x in _ONE_WAY), *(f"most {x}" for x in _ONE_WAY), *_OWN, *_OF_SET)
+_BOTH_WAYS = (*(f"least {x}" for x in _ONE_WAY), *(f"most {x}" for x in _ONE_WAY))
+FEATURES = (
+    *_BOTH_WAYS,
+    *(f"{x} beyond the best" for x in _BOTH_WAYS),
+    *(f"{x} beyond the mean" for x in _BOTH_WAYS),
+    *_OWN,
+    *_OF_SET,
+)
 
 
 def features(problem: Problem, look: Look, hypotheses: Hypotheses) -> Float[np.ndarray, "k f"]:
@@ -42,10 +53,13 @@ def features(problem: Problem, look: Look, hypotheses: Hypotheses) -> Float[np.n
             _one_way(problem.goal, look.surface, *_inverse(then), problem.frame.size_m),
         ]
     )
-    fit, front, outside = (ways[:, :, _ONE_WAY.index(name)] for name in ("fit 0.015", "in front 0.015", "outside"))
+    fit, front, outside = (
+        ways[:, :, _ONE_WAY.index(name)] for name in (f"fit {MIDDLE}", f"in front {MIDDLE}", "outside")
+    )
     agreement = (fit - front - outside).mean(axis=0)
-    own = _own(alone, hypotheses)
-    return np.concatenate([ways.min(axis=0), ways.max(axis=0), own, _of_set(then.R, agreement)], axis=1)
+    both = np.concatenate([ways.min(axis=0), ways.max(axis=0)], axis=1)
+    against_set = both - both[np.argmax(agreement)], both - both.mean(axis=0)
+    return np.concatenate([both, *against_set, _own(alone, hypotheses), _of_set(then.R, agreement)], axis=1)
 
 
 def _inverse(hypotheses: Hypotheses) -> tuple[Float[np.ndarray, "k 3 3"], Float[np.ndarray, "k 3"]]:
@@ -64,24 +78,34 @@ def _one_way(
     on = gap_px <= 0
     beyond = (x[:, 2] - target.depth_m(place)) / np.float32(size_m)
     normals = np.stack(target.planes(place)[:3], axis=1)
-    cosine = np.sum(
-        normals * moved(R.astype(np.float32), np.zeros((len(R), 3), np.float32), source.sampled_normals(POINTS)), axis=1
-    )
+    own = moved(R.astype(np.float32), np.zeros((len(R), 3), np.float32), source.sampled_normals(POINTS))
+    cosine = np.sum(normals * own, axis=1)
     fits = on & (np.abs(beyond) <= TOLERANCES[-1])
     residual = np.where(fits, np.abs(beyond), np.nan)
     empty = ~fits.any(axis=1)
     residual[empty] = TOLERANCES[-1]
     count = np.maximum(fits.sum(axis=1), 1)
+    outside = (~on).mean(axis=1)
+    fit = [(on & (np.abs(beyond) <= tolerance)).mean(axis=1) for tolerance in TOLERANCES]
+    front = [(on & (beyond < -tolerance)).mean(axis=1) for tolerance in TOLERANCES[1:]]
+    behind = on & (beyond > MIDDLE)
+    spread = (own * fits[:, None]) @ np.swapaxes(own, 1, 2) / count[:, None, None]  # flat faces say little: small
+    relief = np.linalg.eigvalsh(spread)
     columns = [
-        *((on & (np.abs(beyond) <= tolerance)).mean(axis=1) for tolerance in TOLERANCES),
-        *((on & (beyond < -tolerance)).mean(axis=1) for tolerance in TOLERANCES[1:]),
-        (~on).mean(axis=1),
+        *fit,
+        *front,
+        *(x / np.maximum(x + y + outside, 1e-3) for x, y in zip(fit[1:3], front[:2], strict=True)),
+        outside,
         (gap_px > 3).mean(axis=1),
-        (on & (beyond > TOLERANCES[1])).mean(axis=1),
+        behind.mean(axis=1),
+        (behind & (np.sum(own * x, axis=1) < 0)).mean(axis=1),
+        np.where(behind, beyond, 0).sum(axis=1) / np.maximum(behind.sum(axis=1), 1),
         np.nanmean(residual, axis=1),
         np.nanmedian(residual, axis=1),
         np.where(fits, cosine, 0).sum(axis=1) / count,
         (fits & (cosine < 0.7)).sum(axis=1) / count,
+        relief[:, 0],
+        relief[:, 1],
     ]
     return np.stack(columns, axis=1).astype(float)
 
@@ -89,7 +113,7 @@ def _one_way(
 def _own(problem: Problem, hypotheses: Hypotheses) -> Float[np.ndarray, "k f"]:
     """Figures of the motion itself, and of how well the evidence pins it down."""
     frame = problem.frame
-    H, _ = normal_equations(problem, hypotheses, TOLERANCES[1], POINTS // 2)
+    H, _ = normal_equations(problem, hypotheses, MIDDLE, POINTS // 2)
     covariance = np.linalg.inv(H + 1e-6 * np.eye(6))
     turn, shift = (np.linalg.eigvalsh(covariance[:, part, part])[:, -1] for part in (slice(3), slice(3, 6)))
     center_m = (hypotheses.R @ frame.turning_m) + hypotheses.t_m - frame.center_m
@@ -138,9 +162,8 @@ class Judge:
     """(trees, nodes) log odds that a leaf adds."""
     depth: int
     baseline: float
-    scale: float
-    """Of the log odds of the chosen hypothesis, from held-out objects."""
-    shift: float
+    calibration: Mapping[str, tuple[float, float]]
+    """By effort, scale and shift of the log odds of the chosen hypothesis, from held-out objects."""
 
     def log_odds(self, figures: Float[np.ndarray, "k f"]) -> Float[np.ndarray, " k"]:
         """That the symmetry-aware error of each hypothesis is below 5 degrees, as the trees say."""
@@ -152,9 +175,10 @@ class Judge:
             node = np.where(goes_left, self.left[trees, node], self.right[trees, node])
         return self.value[trees, node].sum(axis=1) + self.baseline
 
-    def probability(self, log_odds: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-        """Calibrated."""
-        return 1 / (1 + np.exp(-(self.scale * log_odds + self.shift)))
+    def probability(self, log_odds: Float[np.ndarray, " k"], effort: str) -> Float[np.ndarray, " k"]:
+        """Calibrated: a longer search leaves more that looks right and is not."""
+        scale, shift = self.calibration[effort]
+        return 1 / (1 + np.exp(-(scale * log_odds + shift)))
 
 
 @cache
@@ -164,12 +188,13 @@ def load_judge(path: Path = WEIGHTS) -> Judge:
         with np.load(path, allow_pickle=False) as arrays:
             names = tuple(arrays["features"].tolist())
             trees = {name: arrays[name] for name in ("feature", "threshold", "left", "right", "value")}
-            baseline, scale, shift = (float(arrays[name]) for name in ("baseline", "scale", "shift"))
-            judge = Judge(**trees, depth=int(arrays["depth"]), baseline=baseline, scale=scale, shift=shift)
+            calibration = dict(zip(arrays["efforts"].tolist(), map(tuple, arrays["calibration"].tolist()), strict=True))
+            depth, baseline = int(arrays["depth"]), float(arrays["baseline"])
+            judge = Judge(**trees, depth=depth, baseline=baseline, calibration=calibration)
     except (OSError, ValueError, KeyError) as error:
         raise ReorientError(
             f"cannot read the judge {str(path)!r} ({error}): expected the package's judge.npz"
         ) from error
     if names != FEATURES:
-        raise ReorientError(f"the judge {str(path)!r} was trained on other figures: expected {', '.join(FEATURES)}")
+        raise ReorientError(f"the judge {str(path)!r} was trained on figures of another version: train it anew")
     return judge

@@ -14,17 +14,18 @@ from jaxtyping import Float
 from numpy.random import Generator
 
 from reorient import so3
-from reorient.estimators.evidence import NOWHERE_M, agreement, moved
+from reorient.estimators.evidence import NOWHERE_M, agreement, batches, moved
 from reorient.estimators.surface import Frame, Surface
 
 FRONT_WEIGHT, OUTSIDE_WEIGHT = np.float32(0.25), np.float32(0.5)  # of what contradicts, beside 1 for what fits
-HIDDEN_REACH = np.float32(3.0)  # a point this many tolerances behind the surface counts a quarter at most
+HIDDEN_REACH = np.float32(1.0)  # a point this many tolerances behind the surface counts half at most
 DAMPING = 0.02  # of the diagonal
 INDEPENDENT = 60.0  # what all points of an image are worth beside the prior: neighbours share their errors
 LONGEST_TURN_RAD, LONGEST_SHIFT = 0.25, 0.25  # of one step; the shift in half sizes
 SURPRISE_COST = 0.01  # agreement lost for each unit of the prior's surprise
 LARGEST_SURPRISE = 20.0
 FEWEST_POINTS = 50  # of an image
+BOX_POINTS = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +38,7 @@ class Hypotheses:
     def __len__(self) -> int:
         return len(self.R)
 
-    def __getitem__(self, chosen: np.ndarray) -> "Hypotheses":
+    def __getitem__(self, chosen: np.ndarray | slice) -> "Hypotheses":
         return Hypotheses(self.R[chosen], self.t_m[chosen])
 
     def after(self, R_now_then: Float[np.ndarray, "3 3"], t_now_then_m: Float[np.ndarray, "3"]) -> "Hypotheses":
@@ -62,6 +63,18 @@ class Problem:
     goal: Surface
     frame: Frame
 
+    def start(self, R: Float[np.ndarray, "k 3 3"]) -> Float[np.ndarray, "k 3"]:
+        """First translations: about a known pivot, else such that what is seen stands in the goal's place.
+
+        That is: the boxes around both share their middle across the view, and their nearest depth.
+        """
+        if self.frame.pivot_known:
+            return self.frame.start(R)
+        turned = moved(
+            R.astype(np.float32), np.zeros((len(R), 3), np.float32), self.looks[0].surface.sample(BOX_POINTS)
+        )
+        return _place(self.goal.sample(BOX_POINTS)[None]) - _place(turned)
+
     def agreement(self, hypotheses: Hypotheses, tolerance: float, points: int) -> Float[np.ndarray, " k"]:
         """The mean over all looks, which share the points between them; ``tolerance`` in sizes."""
         total = np.zeros(len(hypotheses))
@@ -80,6 +93,12 @@ class Problem:
     def share(self, points: int) -> int:
         """Of each look, so that several take no longer than one."""
         return max(points // len(self.looks), FEWEST_POINTS)
+
+
+def _place(points_m: Float[np.ndarray, "k 3 n"]) -> Float[np.ndarray, "k 3"]:
+    """The middle of the box across the view, and its nearest depth."""
+    low, high = points_m.min(axis=2).astype(float), points_m.max(axis=2).astype(float)
+    return np.concatenate([(low[:, :2] + high[:, :2]) / 2, low[:, 2:]], axis=1)
 
 
 def distinct(R: Float[np.ndarray, "k 3 3"], score: Float[np.ndarray, " k"], most: int, apart_rad: float) -> np.ndarray:
@@ -126,8 +145,10 @@ def normal_equations(
     """Of the robust squares and the prior: a turn about the centre (rad) and a shift (half sizes), on the left."""
     frame = problem.frame
     total = np.zeros((len(hypotheses), 7, 7))
+    shared = problem.share(points)
     for look in problem.looks:
-        total += _moments(look, problem.goal, hypotheses, frame, tolerance * frame.size_m, problem.share(points))
+        for batch in batches(len(hypotheses), 2 * shared):
+            total[batch] += _moments(look, problem.goal, hypotheses[batch], frame, tolerance * frame.size_m, shared)
     total *= INDEPENDENT / len(problem.looks) / (tolerance * frame.size_m) ** 2
     H, g = total[:, :6, :6].copy(), total[:, :6, 6].copy()
     if frame.pivot_known:

@@ -55,6 +55,7 @@ MODES_APART_DEG = 15.0
 _COARSE = (0.05, 0.05, 0.04, 0.04, 0.03, 0.03)
 _MIDDLE = (0.03, 0.025, 0.02, 0.02, 0.015, 0.015)
 _FINE = (0.01, 0.01, 0.01, 0.01)
+_FINEST = (0.01, 0.008, 0.006)
 
 EFFORTS = {
     "fast": Effort(
@@ -71,24 +72,26 @@ EFFORTS = {
     "normal": Effort(
         6000,
         100,
-        400,
-        48,
+        500,
+        64,
         (
-            Stage(_COARSE, 200, 0.03, 300, 28, 8.0, 24, 0.2, 0.04),
-            Stage(_MIDDLE, 400, 0.015, 600, 14, 5.0, 24, 0.1, 0.02),
-            Stage(_FINE, 1000, 0.015, 1000, 12, 3.0),
+            Stage(_COARSE, 200, 0.03, 300, 34, 8.0, 24, 0.2, 0.04),
+            Stage(_MIDDLE, 400, 0.015, 600, 18, 5.0, 24, 0.1, 0.02),
+            Stage(_FINE, 1000, 0.01, 1000, 14, 3.0, 16, 0.06, 0.012),
+            Stage(_FINEST, 1000, 0.012, 1000, 14, 3.0),
         ),
     ),
     "thorough": Effort(
         12000,
         150,
-        1500,
-        150,
+        2000,
+        220,
         (
-            Stage(_COARSE, 200, 0.03, 400, 80, 8.0, 48, 0.25, 0.05),
-            Stage(_COARSE, 300, 0.025, 600, 48, 6.0, 48, 0.15, 0.03),
-            Stage(_MIDDLE, 600, 0.015, 1000, 32, 4.0, 48, 0.1, 0.02),
-            Stage((*_FINE, *_FINE), 1000, 0.015, 1500, 20, 3.0),
+            Stage(_COARSE, 200, 0.03, 400, 110, 8.0, 48, 0.25, 0.05),
+            Stage(_COARSE, 300, 0.025, 600, 64, 6.0, 48, 0.15, 0.03),
+            Stage(_MIDDLE, 600, 0.015, 1000, 44, 4.0, 48, 0.1, 0.02),
+            Stage((*_FINE, *_FINE), 1000, 0.01, 1500, 28, 3.0, 32, 0.06, 0.012),
+            Stage((*_FINE, *_FINEST), 1500, 0.012, 1500, 24, 3.0),
         ),
     ),
 }
@@ -121,11 +124,11 @@ def search(problem: Problem, effort: Effort) -> Hypotheses:
 def propose(problem: Problem, effort: Effort) -> Hypotheses:
     """ "No rotation", and the distinct best of the grid."""
     grid = _grid(effort.grid)
-    everywhere = Hypotheses(grid, problem.frame.start(grid))
-    score = problem.agreement(everywhere, GRID_TOLERANCE, effort.grid_points)  # none of them moves the pivot
+    everywhere = Hypotheses(grid, problem.start(grid))
+    score = problem.agreement(everywhere, GRID_TOLERANCE, effort.grid_points)  # none moves a known pivot
     best = everywhere[np.argsort(-score, kind="stable")[: effort.slid]]
     slid = descend(problem, best, SLIDE, SLIDE_POINTS)
     score = problem.score(slid, GRID_TOLERANCE, effort.grid_points)
     slid = slid[distinct(slid.R, score, effort.modes, np.radians(MODES_APART_DEG))]
     still = np.eye(3)[None]
-    return Hypotheses(np.concatenate([still, slid.R]), np.concatenate([problem.frame.start(still), slid.t_m]))
+    return Hypotheses(np.concatenate([still, slid.R]), np.concatenate([problem.start(still), slid.t_m]))

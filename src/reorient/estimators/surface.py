@@ -72,7 +72,7 @@ class Surface(View):
     ]:
         """The three parts of the normals, and the offsets, at places."""
         x, y, z = self._normal
-        return x[place], y[place], z[place], self._offset_m[place]
+        return x.take(place), y.take(place), z.take(place), self._offset_m.take(place)
 
 
 @dataclass(frozen=True, eq=False)
