@@ -35,7 +35,7 @@ COVARIANCE_SCALE = 0.044  # from the curvature's inverse to the scatter with 1 m
 LOOKS = 2  # earlier captures that are used: those that show the most new
 LEAST_NEW_RAD = np.radians(10)  # a capture turned by less shows nothing new
 SAME_RAD = np.radians(12)  # two hypotheses this near are one answer
-ALTERNATIVE_ABOVE = 0.4  # of the answer's probability: what is less likely is not told
+ALTERNATIVE_ABOVE = 0.25  # of the answer's probability: what is less likely is not told
 
 
 class Default:

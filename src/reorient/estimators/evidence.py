@@ -132,7 +132,7 @@ def evenly(n: int, most: int) -> Int[np.ndarray, " k"]:
 
 def batches(k: int, points: int) -> Iterator[slice]:
     """Slices of k hypotheses that each move so many points, about equally long."""
-    step = ceil(k / max(ceil(k * points / _AT_ONCE), 1))
+    step = max(ceil(k / max(ceil(k * points / _AT_ONCE), 1)), 1)
     return (slice(begin, begin + step) for begin in range(0, k, step))
 
 
