@@ -101,7 +101,7 @@ class Fusing:
         if angle_rad > max(self.tolerance_rad, CLEARLY * error_rad) and moves_left > 0 and looks_left > 0:
             return Decision(f"{looks} looks agree on {degrees}: turns by them", R_goal_now)
         sure = float(1 / (1 + np.exp(-arrival_log_odds(seen[-1]))))
-        said = f"{degrees} are left, give or take {np.degrees(error_rad):.2f}; {sure:.0%} sure"
+        said = f"{degrees} are left, give or take {np.degrees(error_rad):.2f}; {min(sure, 0.99):.0%} sure"
         if any(x.examined and x is not best and abs(x.log_weight - best.log_weight) < TIE for x in found):
             said += "; another orientation matches about as well"
         if sure < LEAST_SURE:
