@@ -30,6 +30,7 @@ POLISH_POINTS = 4000
 NOISE_FACTOR = 4.0  # the last tolerances are at least this many typical residuals
 QUIET = 0.0045  # typical residual below which GICP is finer than planes fitted to pixels
 GATE = 0.02  # of its correspondences
+NO_WORSE = 0.01  # agreement that its answer may lose: what lies between pixels counts as little
 LEAST_NOISE = 0.001  # residual that even exact depth leaves between pixels
 COVARIANCE_SCALE = 0.044  # from the curvature's inverse to the scatter with 1 mm noise; without noise pessimistic
 LOOKS = 2  # earlier captures that are used: those that show the most new
@@ -142,7 +143,7 @@ def _polished(problem: Problem, answer: Hypotheses) -> Hypotheses:
         return answer
     finer = _registered(problem, answer)
     before, after = (problem.score(x, QUIET, POLISH_POINTS)[0] for x in (answer, finer))
-    return finer if after >= before else answer
+    return finer if after >= before - NO_WORSE else answer
 
 
 def _residual(problem: Problem, answer: Hypotheses) -> float:
