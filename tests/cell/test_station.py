@@ -97,6 +97,16 @@ def test_the_loop_closes(mesh, segmentation):
     assert so3.angle_difference(cell.plant.R_world_object, R_goal) > np.radians(29)
     result = orient(cell, goal, load_estimator("gicp"), Proportional(max_steps=8, eta=1.0))
     assert so3.angle_difference(cell.plant.R_world_object, R_goal) < np.radians(1.5), result.reason
+    assert result.converged, result.reason
+
+
+def test_frames_are_newer_than_the_move_before_them(mesh):
+    cell = holding(mesh, seed=4)
+    first, second = cell.frame(colour=False).depth.stamp_s, cell.frame(colour=False).depth.stamp_s
+    assert first < second
+    cell.rotate(np.eye(3))
+    moved_s = cell.clock_s()
+    assert second <= moved_s < cell.frame(colour=False).depth.stamp_s
 
 
 def test_the_same_seed_makes_the_same_cell(mesh):

@@ -88,6 +88,10 @@ class Drive:
         self._target = np.array(joints_rad, float)
         self._run(self._target, _SETTLE_S)
 
+    def wait(self, seconds: float) -> None:
+        """Hold still."""
+        self._run(self._target, seconds)
+
     def read(self) -> Float[np.ndarray, " n"]:
         """Joint positions by the encoders."""
         noise = self.errors.encoder_noise_rad * self._rng.standard_normal(len(self._motor))

@@ -23,6 +23,7 @@ from reorient.stations.cell.drive import Drive, Errors, Load
 from reorient.stations.cell.grasp import Grasp, find_grasp
 from reorient.stations.cell.scene import NAME, Scene, mounted_above, projector_of, structured_light, window
 
+_FRAME_S = 0.1  # a depth camera of this kind takes some 10 frames a second
 _REACH_M = 0.115  # of the window of the images around the tool centre
 _DENSITY_KG_M3 = 150.0  # of the object's bounding box: most things are hollow or of plastic
 _SHOW_EMPTY = so3.exp(np.array([0.0, np.radians(75.0), 0.0]))  # R_world_tcp of the empty gripper in view
@@ -81,7 +82,9 @@ class Plant:
         return self._drive.time_s
 
     def images(self, colour: bool) -> tuple[DepthImage, ColorImage | None]:
-        """What the cameras see now, in a window around the gripper; the colour camera's only where asked for."""
+        """What the cameras see a frame later, in a window around the gripper; the colour camera's only where asked
+        for."""
+        self._drive.wait(_FRAME_S)
         scene = self.scene()
         depth = scene.depth(self._rng, self.depth, self._window(self.depth), self._sensor)
         return depth, scene.color(self.color, self._window(self.color), self._rng) if colour else None
