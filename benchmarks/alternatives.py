@@ -1,0 +1,99 @@
+"""Do the alternatives tell symmetry? Whether they hold the true rotation where the object has others that look alike.
+
+    python benchmarks/alternatives.py results/alternatives.csv.gz --meshes FOLDER
+
+One row a pair of images, all angles, after the objects with a finite group and as many without symmetry. An axis of
+revolution leaves no finite set of answers, so such objects are left out.
+"""
+
+import zlib
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import trimesh
+import tyro
+from rich.progress import track
+
+from reorient import load_estimator, so3
+from reorient.files import make_folder, write_table
+from reorient.objects import ObjectSource
+from reorient.pairs import sample_pair
+from reorient.rendering import Renderer, load_world
+from reorient.reporting.rows import wilson
+from reorient.reporting.trust import RIGHT_DEG
+from reorient.sensing import randomised
+from reorient.statistics import is_distinctive
+from reorient.symmetry import SymmetryGroup, rotation_group, symmetric_error
+
+
+@dataclass(frozen=True)
+class Alternatives:
+    """What to run."""
+
+    out: tyro.conf.Positional[Path]
+    """CSV.gz to write."""
+    source: tyro.conf.OmitArgPrefixes[ObjectSource] = field(default_factory=ObjectSource)
+    objects: int = 40
+    """With a finite symmetry, and as many without."""
+    pairs: int = 4
+    """Of each object."""
+    noise_mm: float = 1.0
+
+
+def main(config: Alternatives) -> None:
+    """All pairs, then the summary."""
+    make_folder(config.out.parent)
+    source, world, estimator = config.source.open(), load_world("benchmark"), load_estimator()
+    meshes: dict[str, list[tuple[str, trimesh.Trimesh, SymmetryGroup]]] = {"finite": [], "none": []}
+    for name in sorted(source.names, key=lambda name: zlib.crc32(f"alternatives {name}".encode())):
+        mesh = source.load(name)
+        group = rotation_group(mesh)
+        finite = len(group.rotations) > 1 and not len(group.axes) and not group.spherical
+        kind = "finite" if finite else "none" if is_distinctive(mesh) else None
+        if kind and len(meshes[kind]) < config.objects:
+            meshes[kind].append((name, mesh, group))
+        if min(map(len, meshes.values())) == config.objects:
+            break
+    rows = []
+    for kind, chosen in meshes.items():
+        for name, mesh, group in track(chosen, kind):
+            renderer = Renderer(mesh)
+            for index in range(config.pairs):
+                rng = np.random.default_rng([zlib.crc32(name.encode()), index])
+                pair = sample_pair(rng, renderer, world, randomised(config.noise_mm / 1000), 0, np.pi)
+                e = estimator.estimate(pair.current, pair.goal, pair.pivot_m)
+                answers = np.stack([e.R_goal_current, *(R for R, _ in e.alternatives)])
+                apart = np.degrees(so3.angle_difference(answers, pair.R_goal_current))
+                aware = symmetric_error(group, e.R_goal_current, pair.R_goal_current, pair.R_camera_object)
+                rows.append(
+                    {
+                        "object": name,
+                        "symmetry": kind,
+                        "elements": len(group.rotations),
+                        "pair": index,
+                        "alternatives": len(e.alternatives),
+                        "confidence": f"{e.confidence:.4f}",
+                        "error_deg": f"{apart[0]:.4f}",
+                        "error_sym_deg": f"{np.degrees(aware):.4f}",
+                        "nearest_deg": f"{apart.min():.4f}",
+                    }
+                )
+    write_table(config.out, rows)
+    for kind in meshes:
+        mine = [row for row in rows if row["symmetry"] == kind]
+        for what, hits in (
+            ("right but for symmetry", [float(row["error_sym_deg"]) < RIGHT_DEG for row in mine]),
+            ("right", [float(row["error_deg"]) < RIGHT_DEG for row in mine]),
+            (
+                "the true rotation is the answer or an alternative",
+                [float(row["nearest_deg"]) < RIGHT_DEG for row in mine],
+            ),
+            ("no alternatives", [row["alternatives"] == 0 for row in mine]),
+        ):
+            low, high = wilson(sum(hits), len(hits))
+            print(f"{kind}: {what}: {np.mean(hits):.1%} ({low:.0%}-{high:.0%}) of {len(hits)}")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Alternatives, description=__doc__))
