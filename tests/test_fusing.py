@@ -1,5 +1,7 @@
 """The strategy fusing: few moves, flips found out on arrival, memory, limits, and what faults do to it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -42,6 +44,17 @@ class Oracle:
         R = so3.exp(self.rng.normal(0, self.error_rad, 3)) @ R
         center = self.station.placement.center_m
         return RotationEstimate(R, center - R @ center, SEEN, confidence=self.confidence)
+
+
+class Always:
+    """Wants the same turn about the optical axis, whatever it sees."""
+
+    def __init__(self, turn_rad, confidence=0.9):
+        self.turn_rad, self.confidence = turn_rad, confidence
+
+    def estimate(self, current, goal, pivot_m=None, history=()):
+        R = so3.exp(np.array([0, 0, self.turn_rad]))
+        return RotationEstimate(R, np.zeros(3), SEEN, confidence=self.confidence)
 
 
 def cell(mesh, start_deg=100.0, seed=5, noise_m=0.0):
@@ -324,3 +337,58 @@ def test_nearest_reachable():
     near = nearest_reachable(R_step, lambda R: float(so3.angle(R)) < 1.0)
     assert float(so3.angle_difference(near, R_step)) < 0.6
     assert nearest_reachable(R_step, lambda R: False) is None
+
+
+def test_frames_are_stale_by_the_last_move_alone(mesh):
+    """Two looks at one pose may share a stamp, and a frame may be stamped with the move's end."""
+    for clock in (True, False):
+        station, goal, R_goal = cell(mesh)
+
+        class Coarse:
+            pivot_m = station.pivot_m
+            moves = 0
+
+            def capture(self):
+                return replace(station.capture(), stamp_s=float(self.moves))
+
+            def rotate(self, R_step):
+                self.moves += 1
+                return station.rotate(R_step)
+
+        coarse = Coarse()
+        if clock:
+            coarse.clock_s = lambda coarse=coarse: np.float32(coarse.moves)
+        result = orient(coarse, goal, Oracle(station, R_goal), Fusing(), limits=NOW)
+        assert result.converged
+        assert not result.faults
+
+
+def test_frames_from_before_a_move_that_failed_are_stale_and_it_counts(mesh):
+    for clock in (True, False):
+        station, goal, _ = cell(mesh, 60.0)
+
+        class Late:
+            """Turns, and then says that it failed; its driver hands out an old frame first."""
+
+            pivot_m = station.pivot_m
+            old = None
+            turned_deg = 0.0
+
+            def capture(self):
+                image, self.old = self.old or station.capture(), None
+                return image
+
+            def rotate(self, R_step):
+                self.old = station.capture()
+                station.rotate(R_step)
+                self.turned_deg += float(np.degrees(so3.angle(R_step)))
+                raise TimeoutError("no answer")
+
+        late = Late()
+        if clock:
+            late.clock_s = station.clock_s
+        limits = Limits(largest_total_rad=np.radians(100), wait_s=0.0)
+        result = orient(late, goal, Always(np.radians(40)), Fusing(patience=9), limits=limits)
+        assert late.turned_deg == pytest.approx(80)
+        assert "would exceed the largest total" in result.reason
+        assert any("stale frame" in fault for fault in result.faults) == clock

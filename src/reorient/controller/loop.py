@@ -73,8 +73,10 @@ class _Loop:
         self.failures = 0
         """In a row."""
         self.turned_rad = 0.0
-        self.newest_s = -np.inf
-        """No later capture may be older than this, by the station's clock."""
+        self.last_s = -np.inf
+        """Stamp of the last frame that was taken."""
+        self.oldest_s = -np.inf
+        """What is stamped with less shows the object before its last move."""
         self.asked = False
         """Whether the first move has been confirmed."""
 
@@ -115,12 +117,17 @@ class _Loop:
         """Raise StationError for a frame that shows the object before its last move."""
         if image.stamp_s is None:
             return
-        if image.stamp_s <= self.newest_s:
+        if image.stamp_s < self.oldest_s:
             raise StationError(
-                f"stale frame: captured at {image.stamp_s:.3f} s, expected after {self.newest_s:.3f} s (the last frame "
-                "or move)"
+                f"stale frame: captured at {image.stamp_s:.3f} s, before the last move ended ({self.oldest_s:.3f} s)"
             )
-        self.newest_s = image.stamp_s
+        self.last_s = image.stamp_s
+
+    def moved(self) -> None:
+        """Whatever was captured up to now is out of date: by the station's clock, or, where it shows none, as old as
+        the last frame."""
+        clock_s = _clock_s(self.station)
+        self.oldest_s = float(np.nextafter(self.last_s, np.inf)) if clock_s is None else clock_s
 
     def decide(self, image: DepthImage, estimate: RotationEstimate) -> Decision:
         """Add the step to the record, as yet without a move, and ask the strategy."""
@@ -181,15 +188,16 @@ class _Loop:
     def turn(self, R_step: Float[np.ndarray, "3 3"]) -> tuple[Float[np.ndarray, "3 3"] | None, str]:
         """Turn in parts that keep to the largest step; what was really done (None: unknown), and what went wrong."""
         R_done: Float[np.ndarray, "3 3"] = np.eye(3)
-        parts = list(self.limits.parts(R_step))
-        for part in parts:
+        for part in self.limits.parts(R_step):
             try:
                 done = _executed(self.station.rotate(part))
             except Exception as error:
+                self.turned_rad += float(so3.angle(part))  # it may have been made before it failed
                 return None, f"the station failed to rotate: {_said(error)}"
+            finally:
+                self.moved()
             R_done = done @ R_done
             self.turned_rad += float(so3.angle(done))
-        self.newest_s = max(self.newest_s, _clock_s(self.station))
         return R_done, ""
 
     def reachable(self, R_step: Float[np.ndarray, "3 3"]) -> bool:
@@ -214,13 +222,13 @@ class _Loop:
         return OrientResult(tuple(self.steps), converged, reason, confidence, tuple(self.faults))
 
 
-def _clock_s(station: Station) -> float:
-    """The station's clock now, on which frames are stamped; minus infinity where it has none to show."""
-    clock = getattr(station, "clock_s", None)
+def _clock_s(station: Station) -> float | None:
+    """The station's clock now, on which frames are stamped; None where it has none to show."""
     try:
-        return float(clock()) if callable(clock) else -np.inf
-    except Exception:  # as good as none
-        return -np.inf
+        clock_s = float(station.clock_s())  # type: ignore[attr-defined]
+    except Exception:  # without one, or with one that fails
+        return None
+    return clock_s if np.isfinite(clock_s) else None
 
 
 def _executed(R: object) -> Float[np.ndarray, "3 3"]:

@@ -14,7 +14,7 @@ class Station(Protocol):
 
     Two methods more are used where a station has them: ``reachable(R_step) -> bool``, whether ``rotate`` would do it;
     and ``clock_s() -> float``, the clock that frames are stamped with, which shows up a frame that was captured before
-    the last move ended. Without it only a frame that is not newer than the last one is refused.
+    the last move ended. Without it only a frame that is not newer than the last one before the move is refused.
     """
 
     @property
