@@ -392,3 +392,65 @@ def test_frames_from_before_a_move_that_failed_are_stale_and_it_counts(mesh):
         assert late.turned_deg == pytest.approx(80)
         assert "would exceed the largest total" in result.reason
         assert any("stale frame" in fault for fault in result.faults) == clock
+
+
+def test_the_way_round_keeps_to_the_limits(mesh):
+    """A station that cannot make small moves makes larger ones than were asked for."""
+    asked, turned = [], []
+
+    def run(**limits):
+        station, goal, _ = cell(mesh, 40.0)
+
+        class Clumsy:
+            pivot_m = station.pivot_m
+            capture = staticmethod(station.capture)
+
+            @staticmethod
+            def reachable(R_step):
+                return bool(so3.angle(R_step) > np.radians(50))
+
+            @staticmethod
+            def rotate(R_step):
+                turned.append(R_step)
+                return station.rotate(R_step)
+
+        strategy = Proportional(eta=1.0, max_steps=1)
+        return orient(Clumsy(), goal, Always(np.radians(40)), strategy, limits=Limits(wait_s=0.0, **limits))
+
+    result = run(largest_total_rad=np.radians(45))
+    assert turned == []
+    assert "would exceed the largest total rotation" in result.reason
+    run(confirm=lambda R: asked.append(R) is None)
+    np.testing.assert_allclose(asked, turned, atol=1e-12)
+    assert np.degrees(so3.angle(turned[0])) > 50
+    assert f"would turn by {np.degrees(so3.angle(turned[0])):.1f} degrees" in run(dry_run=True).reason
+
+
+def test_a_dry_run_ends_with_the_first_decision(mesh):
+    station, goal, R_goal = cell(mesh, 0.5)
+    result = orient(station, goal, Oracle(station, R_goal), Fusing(), limits=Limits(dry_run=True))
+    assert len(result.steps) == 1
+    assert result.reason == "dry run: this may be the goal, but for 0.50 degrees: looks again; nothing moved"
+
+
+def test_a_strategy_that_fails_ends_the_loop_with_the_record_kept(mesh, unchecked):
+    class Failing(Fusing):
+        def decide(self, steps, goal, reachable):
+            if len(steps) == 2:
+                raise IndexError("pop from empty list")
+            return super().decide(steps, goal, reachable)
+
+    station, goal, R_goal = cell(mesh)
+    result = orient(station, goal, Oracle(station, R_goal), Failing())
+    assert (len(result.steps), result.moves, result.converged) == (2, 1, False)
+    assert result.reason == "the strategy failed: IndexError: pop from empty list"
+    for wrong in ("fusing", Fusing, object()):
+        with pytest.raises(ReorientError, match="expected an object with max_steps, patience, recalled, decide"):
+            orient(station, goal, Oracle(station, R_goal), wrong)
+
+
+def test_no_confidence_at_all_is_survived(mesh):
+    station, goal, R_goal = cell(mesh)
+    result = orient(station, goal, Oracle(station, R_goal, confidence=0.0), Fusing())
+    assert left_deg(station, R_goal) < 1
+    assert not result.converged or result.confidence < 0.95

@@ -18,7 +18,7 @@ from reorient.controller.proportional import Proportional
 from reorient.depth import DepthImage
 from reorient.errors import ReorientError, StationError
 from reorient.estimators.base import Estimator, RotationEstimate, check_pair
-from reorient.stations.base import Station
+from reorient.stations.base import Station, lacking, pivot_of
 
 LEAST_GAIN_RAD = float(np.radians(0.5))  # a way round an unreachable move is taken if it comes nearer by this
 
@@ -41,10 +41,14 @@ def orient(
     """
     if not isinstance(goal, DepthImage):
         raise ReorientError(f"goal is a {type(goal).__name__}: expected DepthImage(depth_m, camera)")
-    for thing, members in ((station, ("capture", "rotate", "pivot_m")), (estimator, ("estimate",))):
-        if isinstance(thing, type) or not all(hasattr(thing, member) for member in members):
+    for thing, members in (
+        (station, ("capture", "rotate", "pivot_m")),
+        (estimator, ("estimate",)),
+        (strategy, () if strategy is None else ("max_steps", "patience", "recalled", "decide")),
+    ):
+        if isinstance(thing, type) or lacking(thing, members):
             raise ReorientError(f"{thing!r} given: expected an object with {', '.join(members)}")
-    pivot_m = station.pivot_m if pivot_m is None else pivot_m
+    pivot_m = pivot_of(station) if pivot_m is None else pivot_m
     check_pair(goal, goal, pivot_m)
     return _Loop(station, goal, estimator, strategy, pivot_m, subscribers, limits or Limits()).run()
 
@@ -133,17 +137,22 @@ class _Loop:
         """Add the step to the record, as yet without a move, and ask the strategy."""
         assert self.strategy is not None
         self.steps.append(Step(len(self.steps), image, estimate, None, None))
-        decision = self.strategy.decide(self.steps, self.goal, self.reachable)
+        try:
+            decision = self.strategy.decide(self.steps, self.goal, self.reachable)
+        except Exception as error:  # it may be the user's own; the record must survive it
+            raise _Ended(f"the strategy failed: {_said(error)}") from error
         self.steps[-1] = replace(self.steps[-1], said=decision.said)
         return decision
 
     def act(self, decision: Decision) -> None:
         """Make the move, if there is one, and tell the subscribers."""
         R_step, R_executed, ending, fault = decision.R_step, None, "", ""
-        if R_step is not None:
+        if R_step is not None and not self.reachable(R_step):
+            ending, R_step = self.way_round(R_step)
+        if R_step is not None and not ending:
             ending = self.forbidden(R_step)
-            if not ending and not self.reachable(R_step):
-                ending, R_step = self.way_round(R_step)
+        if self.limits.dry_run and not decision.ends:
+            ending = f"dry run: {ending or decision.said}; nothing moved"
         if ending:
             R_step = None
         if R_step is not None:
@@ -159,11 +168,11 @@ class _Loop:
             self.failures = 0
 
     def forbidden(self, R_step: Float[np.ndarray, "3 3"]) -> str:
-        """Why the limits forbid a move; nothing where they do not."""
+        """Why the limits forbid a move, the one that would really be made; nothing where they do not."""
         degrees = f"{np.degrees(so3.angle(R_step)):.1f} degrees"
         if self.limits.dry_run:
             rotvec = " ".join(f"{x:.4f}" for x in so3.log(R_step))
-            return f"dry run: would turn by {degrees} (rotation vector [{rotvec}], camera axes); nothing moved"
+            return f"would turn by {degrees} (rotation vector [{rotvec}], camera axes)"
         if self.turned_rad + float(so3.angle(R_step)) > self.limits.largest_total_rad:
             return f"the next move of {degrees} would exceed the largest total rotation"
         if not self.asked and self.limits.confirm is not None and not self.limits.confirm(R_step):
@@ -201,7 +210,8 @@ class _Loop:
         return R_done, ""
 
     def reachable(self, R_step: Float[np.ndarray, "3 3"]) -> bool:
-        """Whether the station can make a move, if it has a way to tell; larger ones only in parts."""
+        """Whether the station can make a move, if it has a way to tell; asked of the whole, though the limits may have
+        it made in parts."""
         ask = getattr(self.station, "reachable", None)
         if ask is None:
             return True
