@@ -454,3 +454,25 @@ def test_no_confidence_at_all_is_survived(mesh):
     result = orient(station, goal, Oracle(station, R_goal, confidence=0.0), Fusing())
     assert left_deg(station, R_goal) < 1
     assert not result.converged or result.confidence < 0.95
+
+
+@pytest.mark.parametrize(("left", "sure"), [(2.0, True), (7.0, False)])
+def test_what_is_left_when_the_moves_are_out_is_not_called_done(mesh, left, sure):
+    """The one move lands beside the goal, and the estimator sees that."""
+    station, goal, R_goal = cell(mesh)
+
+    class Beside:
+        pivot_m = station.pivot_m
+        capture = staticmethod(station.capture)
+
+        @staticmethod
+        def rotate(R_step):
+            station.rotate(so3.exp(np.array([np.radians(left), 0, 0])) @ R_step)
+            return R_step
+
+    result = orient(Beside(), goal, Oracle(station, R_goal), Fusing(most_moves=1))
+    assert left_deg(station, R_goal) == pytest.approx(left)
+    assert not result.converged
+    assert f"{left:.2f} degrees are left" in result.reason
+    assert "no more moves are allowed" in result.reason
+    assert (result.confidence > 0.9) == sure
