@@ -175,6 +175,11 @@ def test_the_default_strategy_suits_the_estimator(mesh):
     assert orient(station, goal, Oracle(station, R_goal)).moves == 1
     station, goal, R_goal = cell(mesh)
     assert orient(station, goal, Oracle(station, R_goal, confidence=None)).moves > 15
+    for confidence in (0.9, None):
+        oracle = Oracle(station, so3.exp(np.array([2.0, 0, 0])) @ R_goal, np.radians(2), confidence=confidence)
+        assert len(orient(station, goal, oracle, max_steps=3, limits=NOW).steps) <= 3
+    with pytest.raises(ReorientError, match="max_steps 1: expected at least 2, and no strategy"):
+        orient(station, goal, oracle, max_steps=1)
 
 
 def test_history_is_given_when_asked_for(mesh):
@@ -339,59 +344,59 @@ def test_nearest_reachable():
     assert nearest_reachable(R_step, lambda R: False) is None
 
 
-def test_frames_are_stale_by_the_last_move_alone(mesh):
+@pytest.mark.parametrize("clock", [True, False])
+def test_frames_are_stale_by_the_last_move_alone(mesh, clock):
     """Two looks at one pose may share a stamp, and a frame may be stamped with the move's end."""
-    for clock in (True, False):
-        station, goal, R_goal = cell(mesh)
+    station, goal, R_goal = cell(mesh)
 
-        class Coarse:
-            pivot_m = station.pivot_m
-            moves = 0
+    class Coarse:
+        pivot_m = station.pivot_m
+        moves = 0
 
-            def capture(self):
-                return replace(station.capture(), stamp_s=float(self.moves))
+        def capture(self):
+            return replace(station.capture(), stamp_s=float(self.moves))
 
-            def rotate(self, R_step):
-                self.moves += 1
-                return station.rotate(R_step)
+        def rotate(self, R_step):
+            self.moves += 1
+            return station.rotate(R_step)
 
-        coarse = Coarse()
-        if clock:
-            coarse.clock_s = lambda coarse=coarse: np.float32(coarse.moves)
-        result = orient(coarse, goal, Oracle(station, R_goal), Fusing(), limits=NOW)
-        assert result.converged
-        assert not result.faults
+    coarse = Coarse()
+    if clock:
+        coarse.clock_s = lambda: np.float32(coarse.moves)
+    result = orient(coarse, goal, Oracle(station, R_goal), Fusing(), limits=NOW)
+    assert result.converged
+    assert not result.faults
 
 
-def test_frames_from_before_a_move_that_failed_are_stale_and_it_counts(mesh):
-    for clock in (True, False):
-        station, goal, _ = cell(mesh, 60.0)
+@pytest.mark.parametrize("clock", [True, False])
+def test_frames_from_before_a_move_that_failed_are_stale_and_it_counts(mesh, clock):
+    station, goal, _ = cell(mesh, 60.0)
 
-        class Late:
-            """Turns, and then says that it failed; its driver hands out an old frame first."""
+    class Late:
+        """Turns, and then says that it failed; its driver hands out an old frame first."""
 
-            pivot_m = station.pivot_m
-            old = None
-            turned_deg = 0.0
+        pivot_m = station.pivot_m
+        old = None
+        turned_deg = 0.0
 
-            def capture(self):
-                image, self.old = self.old or station.capture(), None
-                return image
+        def capture(self):
+            image, self.old = self.old or station.capture(), None
+            return image
 
-            def rotate(self, R_step):
-                self.old = station.capture()
-                station.rotate(R_step)
-                self.turned_deg += float(np.degrees(so3.angle(R_step)))
-                raise TimeoutError("no answer")
+        def rotate(self, R_step):
+            self.old = station.capture()
+            station.rotate(R_step)
+            self.turned_deg += float(np.degrees(so3.angle(R_step)))
+            raise TimeoutError("no answer")
 
-        late = Late()
-        if clock:
-            late.clock_s = station.clock_s
-        limits = Limits(largest_total_rad=np.radians(100), wait_s=0.0)
-        result = orient(late, goal, Always(np.radians(40)), Fusing(patience=9), limits=limits)
-        assert late.turned_deg == pytest.approx(80)
-        assert "would exceed the largest total" in result.reason
-        assert any("stale frame" in fault for fault in result.faults) == clock
+    late = Late()
+    if clock:
+        late.clock_s = station.clock_s
+    limits = Limits(largest_total_rad=np.radians(100), wait_s=0.0)
+    result = orient(late, goal, Always(np.radians(40)), Fusing(patience=9), limits=limits)
+    assert late.turned_deg == pytest.approx(80)
+    assert "would exceed the largest total" in result.reason
+    assert any("stale frame" in fault for fault in result.faults) == clock
 
 
 def test_the_way_round_keeps_to_the_limits(mesh):

@@ -31,13 +31,15 @@ def orient(
     pivot_m: Float[np.ndarray, "3"] | None = None,
     subscribers: Sequence[Callable[[Step], None]] = (),
     limits: Limits | None = None,
+    max_steps: int | None = None,
 ) -> OrientResult:
     """Turn the object at the station until it looks like the goal.
 
-    ``strategy`` None: ``Fusing`` for an estimator with a calibrated confidence, Algorithm 1 for any other.
-    ``pivot_m``: rotation centre in camera axes; None: the station's own. Subscribers are called with each step, after
-    its move. A failing station or estimator is asked again as often as the strategy bears, then the loop ends with the
-    record kept and the reason said; bad arguments raise ReorientError before anything moves.
+    ``strategy`` None: ``Fusing`` for an estimator with a calibrated confidence, Algorithm 1 for any other; with at most
+    ``max_steps`` images, or as many as suits each. ``pivot_m``: rotation centre, camera axes; None: the station's own.
+    Subscribers are called with each step, after its move. A failing station or estimator is asked again as often as the
+    strategy bears, then the loop ends with the record kept and the reason said; bad arguments raise ReorientError
+    before anything moves.
     """
     if not isinstance(goal, DepthImage):
         raise ReorientError(f"goal is a {type(goal).__name__}: expected DepthImage(depth_m, camera)")
@@ -48,9 +50,11 @@ def orient(
     ):
         if isinstance(thing, type) or lacking(thing, members):
             raise ReorientError(f"{thing!r} given: expected an object with {', '.join(members)}")
+    if max_steps is not None and (strategy is not None or max_steps < 2):
+        raise ReorientError(f"max_steps {max_steps}: expected at least 2, and no strategy, which has its own")
     pivot_m = pivot_of(station) if pivot_m is None else pivot_m
     check_pair(goal, goal, pivot_m)
-    return _Loop(station, goal, estimator, strategy, pivot_m, subscribers, limits or Limits()).run()
+    return _Loop(station, goal, estimator, strategy, pivot_m, subscribers, limits or Limits(), max_steps).run()
 
 
 class _Ended(Exception):
@@ -69,9 +73,11 @@ class _Loop:
         pivot_m: Float[np.ndarray, "3"] | None,
         subscribers: Sequence[Callable[[Step], None]],
         limits: Limits,
+        max_steps: int | None,
     ) -> None:
         self.station, self.goal, self.estimator, self.strategy = station, goal, estimator, strategy
         self.pivot_m, self.subscribers, self.limits = pivot_m, subscribers, limits
+        self.max_steps = max_steps
         self.steps: list[Step] = []
         self.faults: list[str] = []
         self.failures = 0
@@ -114,7 +120,8 @@ class _Loop:
             self.failed(f"the estimator failed: {_said(error)}")
             return None
         if self.strategy is None:
-            self.strategy = Proportional() if estimate.confidence is None else Fusing()
+            suited = Proportional if estimate.confidence is None else Fusing
+            self.strategy = suited() if self.max_steps is None else suited(max_steps=self.max_steps)
         return image, estimate
 
     def refuse_stale(self, image: DepthImage) -> None:
