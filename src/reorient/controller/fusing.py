@@ -104,13 +104,14 @@ class Fusing:
         settled = angle_rad <= max(self.tolerance_rad, CLEARLY * error_rad)
         if not settled and moves_left > 0 and looks_left > 0:
             return Decision(f"{looks} looks agree on {degrees}: turns by them", R_goal_now)
-        sure = float(1 / (1 + np.exp(-arrival_log_odds(seen[-1])))) * _within(angle_rad)
+        matches = float(1 / (1 + np.exp(-arrival_log_odds(seen[-1]))))
+        sure = matches * _within(angle_rad)
         said = f"{degrees} are left, give or take {np.degrees(error_rad):.2f}; {min(sure, 0.99):.0%} sure"
         if not settled:
             said += f"; no more {'moves' if moves_left <= 0 else 'images'} are allowed to turn by them"
         if any(x.examined and x is not best and abs(x.log_weight - best.log_weight) < TIE for x in found):
             said += "; another orientation matches about as well"
-        if sure < LEAST_SURE:
+        if matches < LEAST_SURE:
             said += "; nothing that was tried surely matches the goal, and this is the likeliest"
         return Decision(said, None, True, settled and sure >= LEAST_SURE, sure)
 
