@@ -34,6 +34,10 @@ class Calibration:
 def main(config: Calibration) -> None:
     """Print the tables; draw."""
     rows = [row for row in confident(read_rows(config.folder)) if row["estimator"] == config.estimator]
+    if not rows:
+        raise SystemExit(
+            f"no confidences of {config.estimator!r} in {str(config.folder)!r}: expected rows that have one"
+        )
     said, right = said_and_right(rows)
     bins = reliability(said, right, config.bins)
     print("confidence  pairs   said    was  (95% interval)")

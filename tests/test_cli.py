@@ -134,7 +134,8 @@ def test_capture_and_orient(capsys, tmp_path):
     assert (tmp_path / "run" / "loop.gif").is_file()
     assert "not converged after 1 moves: limit of 1 images" in refused(capsys, *one, "--turn-deg", 12, "--max-steps", 1)
     assert "expected K >= 1, 0 < eta <= 1" in refused(capsys, *one, "--eta", 0)
-    assert "--eta and --delta-deg are Algorithm 1's" in refused(capsys, "orient", goal, "--eta", 0.5)
+    fusing = ["orient", goal, "--strategy", "fusing"]
+    assert "--eta and --delta-deg are Algorithm 1's" in refused(capsys, *fusing, "--eta", 0.5)
     assert "did you mean 'fusing'" in refused(capsys, "orient", goal, "--strategy", "fusin")
 
 
@@ -142,7 +143,10 @@ def test_orient_with_limits_a_record_and_its_replay(capsys, tmp_path, monkeypatc
     goal, record = tmp_path / "goal.npz", tmp_path / "record"
     main(["capture", str(goal)])
     turned = ["orient", goal, "--turn-deg", 100, "--noise-mm", 1, "--estimator", "fast"]
-    assert "dry run: would turn by" in refused(capsys, *turned, "--dry-run")
+    main([str(a) for a in [*turned, "--dry-run", "--record", tmp_path / "dry"]])
+    assert "dry run: would turn by" in capsys.readouterr().out
+    main(["replay", str(tmp_path / "dry")])
+    assert "dry run: would turn by" in capsys.readouterr().out
     monkeypatch.setattr("builtins.input", lambda question: "n")
     assert "was not confirmed" in refused(capsys, *turned, "--confirm-first-move")
     assert "would exceed the largest total" in refused(capsys, *turned, "--largest-total-deg", 40)
@@ -158,6 +162,36 @@ def test_orient_with_limits_a_record_and_its_replay(capsys, tmp_path, monkeypatc
     assert "turns by" in (tmp_path / "again" / "loop.html").read_text()
     assert "holds a record: expected a new folder" in refused(capsys, *turned, "--record", record)
     assert "no record in" in refused(capsys, "replay", tmp_path)
+
+
+def test_the_strategy_follows_the_confidence(capsys, tmp_path, monkeypatch):
+    """Algorithm 1 for a class of one's own that has none; for one that has, only if its settings are given."""
+    (tmp_path / "my_estimators.py").write_text(
+        "from dataclasses import replace\nfrom reorient import load_estimator\n"
+        "class Plain:\n    confidence = None\n    def estimate(self, *given):\n"
+        "        return replace(load_estimator('gicp').estimate(*given), confidence=self.confidence)\n"
+        "class Sure(Plain):\n    confidence = 0.9\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    main(["capture", "goal.npz"])
+    one = ["orient", "goal.npz", "--turn-deg", "12", "--dry-run", "--estimator"]
+    for more, said in (
+        (["my_estimators:Plain"], "would turn by 2.4"),
+        (["my_estimators:Sure"], "would turn by 12"),
+        (["my_estimators:Sure", "--eta", "0.5"], "would turn by 6"),
+        (["gicp", "--max-steps", "3"], "would turn by 2.4"),
+    ):
+        main([*one, *more])
+        assert said in capsys.readouterr().out
+
+
+def test_nothing_is_left_behind_where_the_estimator_is_unknown(capsys, tmp_path):
+    main(["capture", str(tmp_path / "goal.npz")])
+    one = ["orient", tmp_path / "goal.npz", "--record", tmp_path / "record"]
+    assert "did you mean 'gicp'" in refused(capsys, *one, "--estimator", "gipc")
+    (tmp_path / "file").write_text("")
+    assert "cannot make folder" in refused(capsys, *one, "--out", tmp_path / "file")
+    assert not (tmp_path / "record").exists()
 
 
 def test_a_failed_capture_leaves_the_old_goal(capsys, tmp_path, monkeypatch):

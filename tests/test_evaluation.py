@@ -126,6 +126,21 @@ def test_estimators_of_ones_own_stand_beside_the_package_s(tmp_path):
         run(config, tmp_path / "other")
 
 
+class Ordinary:
+    """An estimator of one's own that is no dataclass; its repr is another in every process."""
+
+    estimate = Fixed(0.3).estimate
+
+
+def test_ordinary_objects_can_go_on(tmp_path):
+    config = Evaluation(ObjectSource(count=1), ("mine",), ranges_deg=((10, 20),), noise_mm=(0.0,), pairs=1)
+    first, again = Ordinary(), Ordinary()
+    list(evaluate(config, tmp_path / "run", own={"mine": first}))
+    assert list(evaluate(config, tmp_path / "run", own={"mine": again})) == [(1, 1)]
+    with pytest.raises(ReorientError, match="holds a run of another config"):
+        list(evaluate(config, tmp_path / "run", own={"mine": Fixed(0.3)}))
+
+
 def test_anything_can_be_measured_of_the_same_pairs(finished, tmp_path):
     def truth(config, pair, group, pivot_m):
         assert (pivot_m is None) != config.pivot

@@ -1,5 +1,7 @@
 """The strategy fusing: few moves, flips found out on arrival, memory, limits, and what faults do to it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -42,6 +44,17 @@ class Oracle:
         R = so3.exp(self.rng.normal(0, self.error_rad, 3)) @ R
         center = self.station.placement.center_m
         return RotationEstimate(R, center - R @ center, SEEN, confidence=self.confidence)
+
+
+class Always:
+    """Wants the same turn about the optical axis, whatever it sees."""
+
+    def __init__(self, turn_rad, confidence=0.9):
+        self.turn_rad, self.confidence = turn_rad, confidence
+
+    def estimate(self, current, goal, pivot_m=None, history=()):
+        R = so3.exp(np.array([0, 0, self.turn_rad]))
+        return RotationEstimate(R, np.zeros(3), SEEN, confidence=self.confidence)
 
 
 def cell(mesh, start_deg=100.0, seed=5, noise_m=0.0):
@@ -162,6 +175,11 @@ def test_the_default_strategy_suits_the_estimator(mesh):
     assert orient(station, goal, Oracle(station, R_goal)).moves == 1
     station, goal, R_goal = cell(mesh)
     assert orient(station, goal, Oracle(station, R_goal, confidence=None)).moves > 15
+    for confidence in (0.9, None):
+        oracle = Oracle(station, so3.exp(np.array([2.0, 0, 0])) @ R_goal, np.radians(2), confidence=confidence)
+        assert len(orient(station, goal, oracle, max_steps=3, limits=NOW).steps) <= 3
+    with pytest.raises(ReorientError, match="max_steps 1: expected at least 2, and no strategy"):
+        orient(station, goal, oracle, max_steps=1)
 
 
 def test_history_is_given_when_asked_for(mesh):
@@ -324,3 +342,142 @@ def test_nearest_reachable():
     near = nearest_reachable(R_step, lambda R: float(so3.angle(R)) < 1.0)
     assert float(so3.angle_difference(near, R_step)) < 0.6
     assert nearest_reachable(R_step, lambda R: False) is None
+
+
+@pytest.mark.parametrize("clock", [True, False])
+def test_frames_are_stale_by_the_last_move_alone(mesh, clock):
+    """Two looks at one pose may share a stamp, and a frame may be stamped with the move's end."""
+    station, goal, R_goal = cell(mesh)
+
+    class Coarse:
+        pivot_m = station.pivot_m
+        moves = 0
+
+        def capture(self):
+            return replace(station.capture(), stamp_s=float(self.moves))
+
+        def rotate(self, R_step):
+            self.moves += 1
+            return station.rotate(R_step)
+
+    coarse = Coarse()
+    if clock:
+        coarse.clock_s = lambda: np.float32(coarse.moves)
+    result = orient(coarse, goal, Oracle(station, R_goal), Fusing(), limits=NOW)
+    assert result.converged
+    assert not result.faults
+
+
+@pytest.mark.parametrize("clock", [True, False])
+def test_frames_from_before_a_move_that_failed_are_stale_and_it_counts(mesh, clock):
+    station, goal, _ = cell(mesh, 60.0)
+
+    class Late:
+        """Turns, and then says that it failed; its driver hands out an old frame first."""
+
+        pivot_m = station.pivot_m
+        old = None
+        turned_deg = 0.0
+
+        def capture(self):
+            image, self.old = self.old or station.capture(), None
+            return image
+
+        def rotate(self, R_step):
+            self.old = station.capture()
+            station.rotate(R_step)
+            self.turned_deg += float(np.degrees(so3.angle(R_step)))
+            raise TimeoutError("no answer")
+
+    late = Late()
+    if clock:
+        late.clock_s = station.clock_s
+    limits = Limits(largest_total_rad=np.radians(100), wait_s=0.0)
+    result = orient(late, goal, Always(np.radians(40)), Fusing(patience=9), limits=limits)
+    assert late.turned_deg == pytest.approx(80)
+    assert "would exceed the largest total" in result.reason
+    assert any("stale frame" in fault for fault in result.faults) == clock
+
+
+def test_the_way_round_keeps_to_the_limits(mesh):
+    """A station that cannot make small moves makes larger ones than were asked for."""
+    asked, turned = [], []
+
+    def run(**limits):
+        station, goal, _ = cell(mesh, 40.0)
+
+        class Clumsy:
+            pivot_m = station.pivot_m
+            capture = staticmethod(station.capture)
+
+            @staticmethod
+            def reachable(R_step):
+                return bool(so3.angle(R_step) > np.radians(50))
+
+            @staticmethod
+            def rotate(R_step):
+                turned.append(R_step)
+                return station.rotate(R_step)
+
+        strategy = Proportional(eta=1.0, max_steps=1)
+        return orient(Clumsy(), goal, Always(np.radians(40)), strategy, limits=Limits(wait_s=0.0, **limits))
+
+    result = run(largest_total_rad=np.radians(45))
+    assert turned == []
+    assert "would exceed the largest total rotation" in result.reason
+    run(confirm=lambda R: asked.append(R) is None)
+    np.testing.assert_allclose(asked, turned, atol=1e-12)
+    assert np.degrees(so3.angle(turned[0])) > 50
+    assert f"would turn by {np.degrees(so3.angle(turned[0])):.1f} degrees" in run(dry_run=True).reason
+
+
+def test_a_dry_run_ends_with_the_first_decision(mesh):
+    station, goal, R_goal = cell(mesh, 0.5)
+    result = orient(station, goal, Oracle(station, R_goal), Fusing(), limits=Limits(dry_run=True))
+    assert len(result.steps) == 1
+    assert result.reason == "dry run: this may be the goal, but for 0.50 degrees: looks again; nothing moved"
+
+
+def test_a_strategy_that_fails_ends_the_loop_with_the_record_kept(mesh, unchecked):
+    class Failing(Fusing):
+        def decide(self, steps, goal, reachable):
+            if len(steps) == 2:
+                raise IndexError("pop from empty list")
+            return super().decide(steps, goal, reachable)
+
+    station, goal, R_goal = cell(mesh)
+    result = orient(station, goal, Oracle(station, R_goal), Failing())
+    assert (len(result.steps), result.moves, result.converged) == (2, 1, False)
+    assert result.reason == "the strategy failed: IndexError: pop from empty list"
+    for wrong in ("fusing", Fusing, object()):
+        with pytest.raises(ReorientError, match="expected an object with max_steps, patience, recalled, decide"):
+            orient(station, goal, Oracle(station, R_goal), wrong)
+
+
+def test_no_confidence_at_all_is_survived(mesh):
+    station, goal, R_goal = cell(mesh)
+    result = orient(station, goal, Oracle(station, R_goal, confidence=0.0), Fusing())
+    assert left_deg(station, R_goal) < 1
+    assert not result.converged or result.confidence < 0.95
+
+
+@pytest.mark.parametrize(("left", "sure"), [(2.0, True), (7.0, False)])
+def test_what_is_left_when_the_moves_are_out_is_not_called_done(mesh, left, sure):
+    """The one move lands beside the goal, and the estimator sees that."""
+    station, goal, R_goal = cell(mesh)
+
+    class Beside:
+        pivot_m = station.pivot_m
+        capture = staticmethod(station.capture)
+
+        @staticmethod
+        def rotate(R_step):
+            station.rotate(so3.exp(np.array([np.radians(left), 0, 0])) @ R_step)
+            return R_step
+
+    result = orient(Beside(), goal, Oracle(station, R_goal), Fusing(most_moves=1))
+    assert left_deg(station, R_goal) == pytest.approx(left)
+    assert not result.converged
+    assert f"{left:.2f} degrees are left" in result.reason
+    assert "no more moves are allowed" in result.reason
+    assert (result.confidence > 0.9) == sure

@@ -1,5 +1,7 @@
 """The judge's data and training, on a few objects."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -36,6 +38,14 @@ def test_goes_on_and_repeats_itself(shards, tmp_path):
     (folder / "shard-000001.npz").unlink()
     assert list(make(CONFIG, folder)) == [(1, 2), (2, 2)]
     np.testing.assert_array_equal(read(folder).figures, again.figures)
+
+
+def test_shards_of_another_config_are_not_mixed(shards):
+    folder, _ = shards
+    with pytest.raises(ReorientError, match="is of another config: expected the same, or a new folder"):
+        list(make(replace(CONFIG, seed=1), folder))
+    with pytest.raises(ReorientError, match="0 workers: expected at least 1"):
+        list(make(CONFIG, folder, workers=0))
 
 
 def test_nothing_to_read(tmp_path):

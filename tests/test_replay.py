@@ -113,3 +113,60 @@ def test_records_are_neither_overwritten_nor_invented(tmp_path, station):
     (tmp_path / "record" / "record.json").write_text("{}")
     with pytest.raises(ReorientError, match="no record in"):
         ReplayedStation(tmp_path / "record")
+
+
+class Narrow:
+    """Another station that reaches no rotation above 20 degrees, and has a clock that may fail or be odd."""
+
+    def __init__(self, station, clock_s=None):
+        self.station, self.pivot_m = station, station.pivot_m
+        self.capture, self.rotate = station.capture, station.rotate
+        if clock_s is not None:
+            self.clock_s = clock_s
+
+    def reachable(self, R_step):
+        return np.bool_(so3.angle(R_step) < np.radians(20))
+
+
+def test_what_can_be_reached_is_replayed_too(tmp_path, station):
+    goal = station.capture_goal()
+    recording = RecordingStation(Narrow(station), tmp_path / "record", goal, {})
+    first = orient(recording, goal, ByNumber(0.9), Fusing(), limits=NOW)
+    assert any("cannot turn" in fault for fault in first.faults)
+    replayed = ReplayedStation(tmp_path / "record")
+    again = orient(replayed, goal, ByNumber(0.9), Fusing(), limits=NOW)
+    same(again, first)
+    assert again.faults == first.faults
+    with pytest.raises(StationError, match="asks for the reach of another move"):
+        replayed.reachable(so3.exp(np.array([0, 0, 2.0])))
+    RecordingStation(station, tmp_path / "other", goal, {})
+    assert not hasattr(ReplayedStation(tmp_path / "other"), "reachable")
+
+
+def test_odd_clocks_and_values_do_not_spoil_a_record(tmp_path, station, unchecked):
+    def broken():
+        raise OSError("no clock")
+
+    goal = station.capture_goal()
+    for k, clock_s in enumerate((broken, lambda: np.float32(station.clock_s()))):
+        recording = RecordingStation(Narrow(station, clock_s), tmp_path / str(k), goal, {})
+        result = orient(recording, goal, ByNumber(0.9), Fusing(), limits=NOW)
+        assert result.moves
+        assert not any("clock" in fault or "JSON" in fault for fault in result.faults)
+        same(orient(ReplayedStation(tmp_path / str(k)), goal, ByNumber(0.9), Fusing(), limits=NOW), result)
+    with pytest.raises(TypeError):
+        recording._note({"capture": object()})
+    recording.finish("done", np.bool_(True))
+    assert json.loads((tmp_path / "1" / "record.json").read_text())["converged"] is True
+
+
+def test_a_station_that_cannot_tell_its_pivot_leaves_no_folder(tmp_path, station, unchecked):
+    class Unhomed(Narrow):
+        pivot_m = property(lambda self: 1 / 0, lambda self, value: None)
+
+    goal = station.capture_goal()
+    with pytest.raises(StationError, match="failed to tell its pivot_m: ZeroDivisionError"):
+        RecordingStation(Unhomed(station), tmp_path / "record", goal, {})
+    assert not (tmp_path / "record").exists()
+    with pytest.raises(StationError, match="failed to tell its pivot_m: ZeroDivisionError"):
+        orient(Unhomed(station), goal, ByNumber())

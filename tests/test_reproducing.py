@@ -10,6 +10,7 @@ from reorient import so3
 from reorient.cli import main
 from reorient.errors import ReorientError
 from reorient.estimators import load_estimator
+from reorient.files import write_table
 from reorient.loop_trials import LoopTrials, run_trial, tasks
 from reorient.objects import ObjectSource, generated
 from reorient.pairs import sample_pair
@@ -151,6 +152,29 @@ def test_collecting_goes_on_where_it_stopped(tmp_path):
     assert list(collect(file, LoopTrials(), [1, 2, 4], _squares)) == [(3, 3)]
     with pytest.raises(ReorientError, match="is of another config: expected the same, or a new folder"):
         list(collect(file, LoopTrials(trials=3), [1], _squares))
+    with pytest.raises(ReorientError, match="0 workers: expected at least 1"):
+        list(collect(file, LoopTrials(), [1], _squares, workers=0))
+
+
+def test_only_loops_that_end_at_the_limit_are_counted_as_such(tmp_path):
+    ends = ("limit of 100 images", "the station failed to rotate: out of reach", "the predicted angle is 0.40 degrees")
+    same = {"object": "a", "trial": "0", "estimator": "gicp", "final_deg": "9", "final_sym_deg": "9", "moves": "4"}
+    rows = [same | {"errors_deg": "30 9", "converged": str(int(k == 2)), "reason": ends[k]} for k in range(3)]
+    write_table(tmp_path / controller.FILE, rows)
+    (at_limit,) = [f for f in controller.findings(tmp_path) if "ended at the limit" in f.what]
+    assert at_limit.value == pytest.approx(100 / 3)
+
+
+def test_loops_are_algorithm_1_whatever_the_confidence(monkeypatch):
+    class Sure:
+        def estimate(self, *given):
+            return replace(load_estimator("gicp").estimate(*given), confidence=0.99)
+
+    monkeypatch.setattr("reorient.loop_trials._estimator", lambda name: Sure())
+    config = LoopTrials(ObjectSource(count=3, object_seed=7), ("sure",), objects=1, trials=1, start_deg=10.0)
+    (row,) = run_trial(tasks(config)[0])
+    assert row["reason"].startswith("the predicted angle is")
+    assert int(row["moves"]) > 8
 
 
 def test_loops_of_all_estimators_share_the_start_and_end_near_the_goal():

@@ -15,7 +15,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, is_dataclass
 from functools import lru_cache, partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -116,7 +116,8 @@ def evaluate(
     for name in config.estimators:
         if name not in own:
             load_estimator(name)
-    yield from measure_pairs(config, out, partial(_estimates, dict(own)), workers, own=str(dict(own)))
+    said = "{" + ", ".join(f"{name!r}: {_described(estimator)}" for name, estimator in own.items()) + "}"
+    yield from measure_pairs(config, out, partial(_estimates, dict(own)), workers, own=said)
 
 
 def measure_pairs(
@@ -302,6 +303,28 @@ def run_record(config: Any, **more: Any) -> dict[str, Any]:
     asked = json.loads(json.dumps(asdict(config), default=str))
     command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
     return {"config": asked, "version": __version__, "commit": commit(), "command": command, **more}
+
+
+def keep_record(file: Path, config: Any, run: str) -> None:
+    """Write what makes a run into ``file``, or compare with what made it. Raises ReorientError for another config, in
+    which ``run`` names the run."""
+    record = run_record(config)
+    if not file.is_file():
+        with replacing(file) as temporary:
+            temporary.write_text(json.dumps(record, indent=2) + "\n")
+        return
+    try:
+        same = json.loads(file.read_text())["config"] == record["config"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise ReorientError(f"broken {str(file)!r} ({error}): expected the config of a run") from error
+    if not same:
+        raise ReorientError(f"{run} is of another config: expected the same, or a new folder")
+
+
+def _described(estimator: Estimator) -> str:
+    """An estimator in words that are the same in the next run: a dataclass shows its settings, any other its class."""
+    kind = type(estimator)
+    return repr(estimator) if is_dataclass(estimator) else f"{kind.__module__}.{kind.__qualname__}"
 
 
 def _whole_pairs(file: Path, per_pair: int) -> int:

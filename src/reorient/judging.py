@@ -20,6 +20,7 @@ from reorient.errors import ReorientError
 from reorient.estimators.default import pose
 from reorient.estimators.judge import FEATURES, features
 from reorient.estimators.search import EFFORTS, search
+from reorient.evaluation import keep_record
 from reorient.files import make_folder, replacing
 from reorient.objects import ObjectSource
 from reorient.pairs import Pair, sample_pair
@@ -50,9 +51,12 @@ class JudgeData:
 
 
 def make(config: JudgeData, out: Path, workers: int = 1) -> Iterator[tuple[int, int]]:
-    """Write the shards, yielding (done, all). Those that are there already stay."""
+    """Write the shards, yielding (done, all). Those that are there already stay. Raises ReorientError where they are of
+    another config, and for no workers."""
+    if workers < 1:
+        raise ReorientError(f"{workers} workers: expected at least 1")
     names = config.objects.open().names
-    make_folder(out)
+    keep_record(make_folder(out) / "config.json", config, f"what is in {str(out)!r}")
     tasks = [
         (config, names[begin : begin + config.per_shard], out / f"shard-{begin:06d}.npz")
         for begin in range(0, len(names), config.per_shard)

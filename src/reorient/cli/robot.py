@@ -14,7 +14,7 @@ from reorient.files import make_folder
 if TYPE_CHECKING:
     from reorient.controller import Limits, Strategy
     from reorient.depth import Camera, DepthImage
-    from reorient.estimators.base import RotationEstimate
+    from reorient.estimators.base import Estimator, RotationEstimate
     from reorient.stations.base import Station
 
 T = TypeVar("T")
@@ -251,7 +251,8 @@ class Orient:
     choice: StationChoice = field(default_factory=StationChoice)
     estimator: str = "default"
     strategy: str = "auto"
-    """'fusing', 'algorithm1' (the paper's), or 'auto': fusing where the estimator's confidence is calibrated."""
+    """'fusing', 'algorithm1' (the paper's), or 'auto': fusing where the estimator's confidence is calibrated, else, or
+    with --eta or --delta-deg, algorithm1."""
     max_steps: int | None = None
     """Largest number of images; default: the strategy's own."""
     eta: float | None = None
@@ -272,26 +273,32 @@ class Orient:
     """Folder for a page and a GIF of the run."""
 
     def run(self) -> None:
-        """Close the loop; a loop that does not converge is an error."""
+        """Close the loop; a loop that does not converge is an error, unless it was a dry run."""
         from dataclasses import replace
 
         from reorient.controller import Limits
+        from reorient.estimators import load_estimator
         from reorient.stations.replay import RecordingStation
 
-        strategy = _strategy(self.strategy, self.estimator, self.max_steps, self.eta, self.delta_deg)
+        strategy = _strategy(self.strategy, self.max_steps, self.eta, self.delta_deg)
         limits = Limits(np.radians(self.largest_step_deg), np.radians(self.largest_total_deg), dry_run=self.dry_run)
         if self.confirm_first_move:
             limits = replace(limits, confirm=_confirmed)
-        goal = self.frames.read(self.goal, 1)
-        station: Any = self.choice.open()
+        goal, estimator = self.frames.read(self.goal, 1), load_estimator(self.estimator)
+        if self.out is not None:
+            make_folder(self.out)
+        station = self.choice.open()
         if self.record is not None:
             about = {
                 "estimator": self.estimator,
                 "strategy": [self.strategy, self.max_steps, self.eta, self.delta_deg],
                 "largest_step_deg": self.largest_step_deg,
+                "largest_total_deg": self.largest_total_deg if np.isfinite(self.largest_total_deg) else None,
+                "dry_run": self.dry_run,
             }
             station = RecordingStation(station, self.record, goal, about)
-        _close_loop(station, goal, self.estimator, strategy, limits, self.out, f"Station {self.choice.station}")
+        title = f"Station {self.choice.station}"
+        _close_loop(station, goal, estimator, strategy, self.max_steps, limits, self.out, title)
 
 
 @dataclass(frozen=True)
@@ -309,35 +316,43 @@ class Replay:
     def run(self) -> None:
         """Replay; a loop that does not converge is an error, as it was."""
         from reorient.controller import Limits
+        from reorient.estimators import load_estimator
         from reorient.stations.replay import ReplayedStation
 
         station = ReplayedStation(self.record)
         try:
-            estimator, (name, max_steps, eta, delta_deg) = station.record["estimator"], station.record["strategy"]
-            limits = Limits(np.radians(station.record["largest_step_deg"]), wait_s=0.0)
+            estimator_name, (name, max_steps, eta, delta_deg) = station.record["estimator"], station.record["strategy"]
+            most_deg = station.record.get("largest_total_deg")  # older records do not say
+            limits = Limits(
+                np.radians(station.record["largest_step_deg"]),
+                np.inf if most_deg is None else np.radians(most_deg),
+                dry_run=bool(station.record.get("dry_run")),
+                wait_s=0.0,
+            )
         except (KeyError, TypeError, ValueError) as error:
             raise ReorientError(
                 f"the record does not say how it was made ({error}): expected one of `orient`"
             ) from error
-        strategy = _strategy(name, estimator, max_steps, eta, delta_deg)
-        _close_loop(station, station.goal(), estimator, strategy, limits, self.out, f"Record {self.record.name}")
+        strategy, estimator = _strategy(name, max_steps, eta, delta_deg), load_estimator(estimator_name)
+        if self.out is not None:
+            make_folder(self.out)
+        title = f"Record {self.record.name}"
+        _close_loop(station, station.goal(), estimator, strategy, max_steps, limits, self.out, title)
 
 
-def _strategy(
-    name: str, estimator: str, max_steps: int | None, eta: float | None, delta_deg: float | None
-) -> "Strategy | None":
-    """The strategy of a command line; None: what suits the estimator, with its own settings."""
+def _strategy(name: str, max_steps: int | None, eta: float | None, delta_deg: float | None) -> "Strategy | None":
+    """The strategy of a command line; None: what suits the estimator. Settings of Algorithm 1 ask for it."""
     from reorient.controller import Fusing, Proportional
     from reorient.errors import unknown_name
 
     if name not in ("auto", "fusing", "algorithm1"):
         raise unknown_name("strategy", name, ["auto", "fusing", "algorithm1"])
-    if name == "auto":  # None would do but for settings
-        name = "algorithm1" if estimator in ("gicp", "icp", "paper", "swift") else "fusing"
     given = {"eta": eta, "delta_rad": None if delta_deg is None else float(np.radians(delta_deg))}
     given = {key: value for key, value in given.items() if value is not None}
+    if name == "auto" and not given:
+        return None
     if name == "fusing" and given:
-        raise ReorientError("--eta and --delta-deg are Algorithm 1's: expected --strategy algorithm1 with them")
+        raise ReorientError("--eta and --delta-deg are Algorithm 1's: expected no --strategy fusing with them")
     steps = {} if max_steps is None else {"max_steps": max_steps}
     return Fusing(**steps) if name == "fusing" else Proportional(**steps, **given)  # type: ignore[arg-type]
 
@@ -357,34 +372,36 @@ def _confirmed(R_step: np.ndarray) -> bool:
 
 
 def _close_loop(
-    station: Any,
+    station: "Station",
     goal: "DepthImage",
-    estimator: str,
+    estimator: "Estimator",
     strategy: "Strategy | None",
+    max_steps: int | None,
     limits: "Limits",
     out: Path | None,
     title: str,
 ) -> None:
     """Run the loop, tell its decisions, write its page, and raise ReorientError where it did not converge."""
     from reorient.controller import Step, orient
-    from reorient.estimators import load_estimator
     from reorient.reporting import write_loop
-
-    if out is not None:
-        make_folder(out)
+    from reorient.stations.replay import RecordingStation
 
     def tell(step: Step) -> None:
         seen_deg = np.degrees(step.estimate.angle_rad)
         print(f"image {step.index + 1:3d}: {seen_deg:6.2f} degrees to go. {step.said}", flush=True)
 
-    result = orient(station, goal, load_estimator(estimator), strategy, subscribers=[tell], limits=limits)
-    if hasattr(station, "finish"):
+    suited = max_steps if strategy is None else None  # a strategy has its own number
+    result = orient(station, goal, estimator, strategy, subscribers=[tell], limits=limits, max_steps=suited)
+    if isinstance(station, RecordingStation):
         station.finish(result.reason, result.converged)
     for fault in result.faults:
         print(f"on the way: {fault}")
     if out is not None and result.steps:
         for path in write_loop(out, goal, result, [], title):
             print(path)
+    if limits.dry_run and result.steps and result.steps[-1].said:  # it has decided
+        print(result.reason)
+        return
     if not result.converged:
         raise ReorientError(f"not converged after {result.moves} moves: {result.reason}")
     print(f"Done after {result.moves} moves: {result.reason}.")

@@ -10,6 +10,7 @@ candidates, as most false arrivals are half turns of nearly symmetric objects.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import erfc, sqrt
 
 import numpy as np
 from jaxtyping import Float
@@ -40,6 +41,8 @@ SURE_HERE = 0.985  # what the arrival itself gives, to the same end
 MATCHES = 5.5  # log odds of an arrival, to the same end: more than false ones had
 NAMED = 0.2  # what makes an alternative a rival
 RESERVED = 3  # moves kept for the way back to the best and the last small ones
+RIGHT_RAD = float(np.radians(5))  # what a confidence is about
+ERR_RAD = float(np.radians(0.5))  # of an average, as its captures err alike
 LEAST_SURE = 0.5  # below this the loop ends without claiming the goal
 
 
@@ -98,15 +101,24 @@ class Fusing:
         degrees = f"{np.degrees(angle_rad):.2f} degrees"
         if looks_left > 0 and error_rad > STEADY_RAD and looks < MOST_LOOKS:
             return Decision(f"{degrees} seem left, give or take {np.degrees(error_rad):.2f}: looks again")
-        if angle_rad > max(self.tolerance_rad, CLEARLY * error_rad) and moves_left > 0 and looks_left > 0:
+        settled = angle_rad <= max(self.tolerance_rad, CLEARLY * error_rad)
+        if not settled and moves_left > 0 and looks_left > 0:
             return Decision(f"{looks} looks agree on {degrees}: turns by them", R_goal_now)
-        sure = float(1 / (1 + np.exp(-arrival_log_odds(seen[-1]))))
+        matches = float(1 / (1 + np.exp(-arrival_log_odds(seen[-1]))))
+        sure = matches * _within(angle_rad)
         said = f"{degrees} are left, give or take {np.degrees(error_rad):.2f}; {min(sure, 0.99):.0%} sure"
+        if not settled:
+            said += f"; no more {'moves' if moves_left <= 0 else 'images'} are allowed to turn by them"
         if any(x.examined and x is not best and abs(x.log_weight - best.log_weight) < TIE for x in found):
             said += "; another orientation matches about as well"
-        if sure < LEAST_SURE:
+        if matches < LEAST_SURE:
             said += "; nothing that was tried surely matches the goal, and this is the likeliest"
-        return Decision(said, None, True, sure >= LEAST_SURE, sure)
+        return Decision(said, None, True, settled and sure >= LEAST_SURE, sure)
+
+
+def _within(left_rad: float) -> float:
+    """How likely the rotation that is left is within what a confidence is about, if it was measured to ERR_RAD."""
+    return 0.5 * erfc((left_rad - RIGHT_RAD) / ERR_RAD / sqrt(2))
 
 
 def _here(found: Sequence[Candidate], stand: Stand) -> Candidate | None:

@@ -18,7 +18,7 @@ from reorient.controller.proportional import Proportional
 from reorient.depth import DepthImage
 from reorient.errors import ReorientError, StationError
 from reorient.estimators.base import Estimator, RotationEstimate, check_pair
-from reorient.stations.base import Station
+from reorient.stations.base import Station, lacking, pivot_of
 
 LEAST_GAIN_RAD = float(np.radians(0.5))  # a way round an unreachable move is taken if it comes nearer by this
 
@@ -31,22 +31,30 @@ def orient(
     pivot_m: Float[np.ndarray, "3"] | None = None,
     subscribers: Sequence[Callable[[Step], None]] = (),
     limits: Limits | None = None,
+    max_steps: int | None = None,
 ) -> OrientResult:
     """Turn the object at the station until it looks like the goal.
 
-    ``strategy`` None: ``Fusing`` for an estimator with a calibrated confidence, Algorithm 1 for any other.
-    ``pivot_m``: rotation centre in camera axes; None: the station's own. Subscribers are called with each step, after
-    its move. A failing station or estimator is asked again as often as the strategy bears, then the loop ends with the
-    record kept and the reason said; bad arguments raise ReorientError before anything moves.
+    ``strategy`` None: ``Fusing`` for an estimator with a calibrated confidence, Algorithm 1 for any other; with at most
+    ``max_steps`` images, or as many as suits each. ``pivot_m``: rotation centre, camera axes; None: the station's own.
+    Subscribers are called with each step, after its move. A failing station or estimator is asked again as often as the
+    strategy bears, then the loop ends with the record kept and the reason said; bad arguments raise ReorientError
+    before anything moves.
     """
     if not isinstance(goal, DepthImage):
         raise ReorientError(f"goal is a {type(goal).__name__}: expected DepthImage(depth_m, camera)")
-    for thing, members in ((station, ("capture", "rotate", "pivot_m")), (estimator, ("estimate",))):
-        if isinstance(thing, type) or not all(hasattr(thing, member) for member in members):
+    for thing, members in (
+        (station, ("capture", "rotate", "pivot_m")),
+        (estimator, ("estimate",)),
+        (strategy, () if strategy is None else ("max_steps", "patience", "recalled", "decide")),
+    ):
+        if isinstance(thing, type) or lacking(thing, members):
             raise ReorientError(f"{thing!r} given: expected an object with {', '.join(members)}")
-    pivot_m = station.pivot_m if pivot_m is None else pivot_m
+    if max_steps is not None and (strategy is not None or max_steps < 2):
+        raise ReorientError(f"max_steps {max_steps}: expected at least 2, and no strategy, which has its own")
+    pivot_m = pivot_of(station) if pivot_m is None else pivot_m
     check_pair(goal, goal, pivot_m)
-    return _Loop(station, goal, estimator, strategy, pivot_m, subscribers, limits or Limits()).run()
+    return _Loop(station, goal, estimator, strategy, pivot_m, subscribers, limits or Limits(), max_steps).run()
 
 
 class _Ended(Exception):
@@ -65,16 +73,20 @@ class _Loop:
         pivot_m: Float[np.ndarray, "3"] | None,
         subscribers: Sequence[Callable[[Step], None]],
         limits: Limits,
+        max_steps: int | None,
     ) -> None:
         self.station, self.goal, self.estimator, self.strategy = station, goal, estimator, strategy
         self.pivot_m, self.subscribers, self.limits = pivot_m, subscribers, limits
+        self.max_steps = max_steps
         self.steps: list[Step] = []
         self.faults: list[str] = []
         self.failures = 0
         """In a row."""
         self.turned_rad = 0.0
-        self.newest_s = -np.inf
-        """No later capture may be older than this, by the station's clock."""
+        self.last_s = -np.inf
+        """Stamp of the last frame that was taken."""
+        self.oldest_s = -np.inf
+        """What is stamped with less shows the object before its last move."""
         self.asked = False
         """Whether the first move has been confirmed."""
 
@@ -108,35 +120,46 @@ class _Loop:
             self.failed(f"the estimator failed: {_said(error)}")
             return None
         if self.strategy is None:
-            self.strategy = Proportional() if estimate.confidence is None else Fusing()
+            suited = Proportional if estimate.confidence is None else Fusing
+            self.strategy = suited() if self.max_steps is None else suited(max_steps=self.max_steps)
         return image, estimate
 
     def refuse_stale(self, image: DepthImage) -> None:
         """Raise StationError for a frame that shows the object before its last move."""
         if image.stamp_s is None:
             return
-        if image.stamp_s <= self.newest_s:
+        if image.stamp_s < self.oldest_s:
             raise StationError(
-                f"stale frame: captured at {image.stamp_s:.3f} s, expected after {self.newest_s:.3f} s (the last frame "
-                "or move)"
+                f"stale frame: captured at {image.stamp_s:.3f} s, before the last move ended ({self.oldest_s:.3f} s)"
             )
-        self.newest_s = image.stamp_s
+        self.last_s = image.stamp_s
+
+    def moved(self) -> None:
+        """Whatever was captured up to now is out of date: by the station's clock, or, where it shows none, as old as
+        the last frame."""
+        clock_s = _clock_s(self.station)
+        self.oldest_s = float(np.nextafter(self.last_s, np.inf)) if clock_s is None else clock_s
 
     def decide(self, image: DepthImage, estimate: RotationEstimate) -> Decision:
         """Add the step to the record, as yet without a move, and ask the strategy."""
         assert self.strategy is not None
         self.steps.append(Step(len(self.steps), image, estimate, None, None))
-        decision = self.strategy.decide(self.steps, self.goal, self.reachable)
+        try:
+            decision = self.strategy.decide(self.steps, self.goal, self.reachable)
+        except Exception as error:  # it may be the user's own; the record must survive it
+            raise _Ended(f"the strategy failed: {_said(error)}") from error
         self.steps[-1] = replace(self.steps[-1], said=decision.said)
         return decision
 
     def act(self, decision: Decision) -> None:
         """Make the move, if there is one, and tell the subscribers."""
         R_step, R_executed, ending, fault = decision.R_step, None, "", ""
-        if R_step is not None:
+        if R_step is not None and not self.reachable(R_step):
+            ending, R_step = self.way_round(R_step)
+        if R_step is not None and not ending:
             ending = self.forbidden(R_step)
-            if not ending and not self.reachable(R_step):
-                ending, R_step = self.way_round(R_step)
+        if self.limits.dry_run and not decision.ends:
+            ending = f"dry run: {ending or decision.said}; nothing moved"
         if ending:
             R_step = None
         if R_step is not None:
@@ -152,11 +175,11 @@ class _Loop:
             self.failures = 0
 
     def forbidden(self, R_step: Float[np.ndarray, "3 3"]) -> str:
-        """Why the limits forbid a move; nothing where they do not."""
+        """Why the limits forbid a move, the one that would really be made; nothing where they do not."""
         degrees = f"{np.degrees(so3.angle(R_step)):.1f} degrees"
         if self.limits.dry_run:
             rotvec = " ".join(f"{x:.4f}" for x in so3.log(R_step))
-            return f"dry run: would turn by {degrees} (rotation vector [{rotvec}], camera axes); nothing moved"
+            return f"would turn by {degrees} (rotation vector [{rotvec}], camera axes)"
         if self.turned_rad + float(so3.angle(R_step)) > self.limits.largest_total_rad:
             return f"the next move of {degrees} would exceed the largest total rotation"
         if not self.asked and self.limits.confirm is not None and not self.limits.confirm(R_step):
@@ -181,19 +204,21 @@ class _Loop:
     def turn(self, R_step: Float[np.ndarray, "3 3"]) -> tuple[Float[np.ndarray, "3 3"] | None, str]:
         """Turn in parts that keep to the largest step; what was really done (None: unknown), and what went wrong."""
         R_done: Float[np.ndarray, "3 3"] = np.eye(3)
-        parts = list(self.limits.parts(R_step))
-        for part in parts:
+        for part in self.limits.parts(R_step):
             try:
                 done = _executed(self.station.rotate(part))
             except Exception as error:
+                self.turned_rad += float(so3.angle(part))  # it may have been made before it failed
                 return None, f"the station failed to rotate: {_said(error)}"
+            finally:
+                self.moved()
             R_done = done @ R_done
             self.turned_rad += float(so3.angle(done))
-        self.newest_s = max(self.newest_s, _clock_s(self.station))
         return R_done, ""
 
     def reachable(self, R_step: Float[np.ndarray, "3 3"]) -> bool:
-        """Whether the station can make a move, if it has a way to tell; larger ones only in parts."""
+        """Whether the station can make a move, if it has a way to tell; asked of the whole, though the limits may have
+        it made in parts."""
         ask = getattr(self.station, "reachable", None)
         if ask is None:
             return True
@@ -214,13 +239,13 @@ class _Loop:
         return OrientResult(tuple(self.steps), converged, reason, confidence, tuple(self.faults))
 
 
-def _clock_s(station: Station) -> float:
-    """The station's clock now, on which frames are stamped; minus infinity where it has none to show."""
-    clock = getattr(station, "clock_s", None)
+def _clock_s(station: Station) -> float | None:
+    """The station's clock now, on which frames are stamped; None where it has none to show."""
     try:
-        return float(clock()) if callable(clock) else -np.inf
-    except Exception:  # as good as none
-        return -np.inf
+        clock_s = float(station.clock_s())  # type: ignore[attr-defined]
+    except Exception:  # without one, or with one that fails
+        return None
+    return clock_s if np.isfinite(clock_s) else None
 
 
 def _executed(R: object) -> Float[np.ndarray, "3 3"]:

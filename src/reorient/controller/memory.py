@@ -109,7 +109,7 @@ def _given_here(estimate: RotationEstimate) -> float:
     named = claims(estimate)
     here = max((p for R, p in named if float(so3.angle(R)) <= SAME_RAD), default=0.0)
     whole = named[0][1] if estimate.confidence is None else estimate.confidence
-    return whole * min(1.0, here / named[0][1])
+    return whole * min(1.0, here / max(named[0][1], 1e-9))  # an estimator may be sure that it is wrong
 
 
 def nearest(estimate: RotationEstimate, R: Float[np.ndarray, "3 3"]) -> tuple[Float[np.ndarray, "3 3"], float]:

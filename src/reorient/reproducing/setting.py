@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from reorient.errors import ReorientError
-from reorient.evaluation import Row, run_record
-from reorient.files import make_folder, replacing, whole_lines, write_table
+from reorient.evaluation import Row, keep_record
+from reorient.files import make_folder, whole_lines, write_table
 from reorient.objects import ObjectSource
 
 States = Iterator[tuple[int, int] | tuple[int, int, str]]
@@ -73,16 +73,12 @@ def collect(
     """Rows of all tasks, in their order, into ``file`` (.csv.gz); yields (tasks done, in all).
 
     ``config``: a dataclass, recorded beside the file. Each finished task is kept at once, so that an interrupted run
-    goes on where it stopped. Raises ReorientError where rows of another config are there.
+    goes on where it stopped. Raises ReorientError where rows of another config are there, and for no workers.
     """
     partial, described = (file.with_name(file.name.replace(".csv.gz", end)) for end in (".partial.jsonl", ".json"))
-    record = run_record(config)
-    if described.is_file():
-        if json.loads(described.read_text())["config"] != record["config"]:
-            raise ReorientError(f"{str(file)!r} is of another config: expected the same, or a new folder (--out)")
-    else:
-        with replacing(described) as temporary:
-            temporary.write_text(json.dumps(record, indent=2) + "\n")
+    if workers < 1:
+        raise ReorientError(f"{workers} workers: expected at least 1")
+    keep_record(described, config, repr(str(file)))
     if file.is_file():
         yield len(tasks), len(tasks)
         return

@@ -4,7 +4,7 @@ from typing import cast
 
 from reorient.errors import ReorientError
 from reorient.plugins import make_own
-from reorient.stations.base import Station
+from reorient.stations.base import Station, lacking
 
 
 def load_station(name: str) -> Station:
@@ -16,7 +16,7 @@ def load_station(name: str) -> Station:
     if not module_name or not attribute:
         raise ReorientError(f"station {name!r}: expected 'rendered' or my_module:MyStation")
     station = make_own("station", name)
-    if missing := [member for member in ("capture", "rotate", "pivot_m") if not hasattr(station, member)]:
+    if missing := lacking(station, ("capture", "rotate", "pivot_m")):
         raise ReorientError(
             f"station {name!r} has no {', '.join(missing)}: expected capture(), rotate(R_step), pivot_m"
         )

@@ -1,11 +1,13 @@
 """What a station is: a camera that sees the object and a gripper that turns it."""
 
+from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
 from reorient.depth import DepthImage
+from reorient.errors import ReorientError, StationError
 
 
 @runtime_checkable
@@ -14,7 +16,7 @@ class Station(Protocol):
 
     Two methods more are used where a station has them: ``reachable(R_step) -> bool``, whether ``rotate`` would do it;
     and ``clock_s() -> float``, the clock that frames are stamped with, which shows up a frame that was captured before
-    the last move ended. Without it only a frame that is not newer than the last one is refused.
+    the last move ended. Without it only a frame that is not newer than the last one before the move is refused.
     """
 
     @property
@@ -29,3 +31,25 @@ class Station(Protocol):
     def rotate(self, R_step: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
         """Turn the object by R_step (camera axes, left: R_after = R_step @ R_before) and return what was done."""
         ...
+
+
+def lacking(thing: object, members: Sequence[str]) -> list[str]:
+    """Which of the members a thing does not have; one that fails when it is read is there."""
+
+    def there(member: str) -> bool:
+        try:
+            return hasattr(thing, member)
+        except Exception:
+            return True
+
+    return [member for member in members if not there(member)]
+
+
+def pivot_of(station: Station) -> Float[np.ndarray, "3"] | None:
+    """The station's pivot. Raises StationError where the station fails to tell it."""
+    try:
+        return station.pivot_m
+    except ReorientError:
+        raise
+    except Exception as error:
+        raise StationError(f"the station failed to tell its pivot_m: {type(error).__name__}: {error}") from error

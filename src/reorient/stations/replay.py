@@ -1,7 +1,7 @@
 """What a station saw and did, kept in a folder, and the folder as a station: so that a failure becomes a test.
 
-A record is ``record.json`` (the pivot, and every capture and move in order, failures included) beside ``goal.npz`` and
-one ``.npz`` for each frame. It is whole after every act, whatever happens next.
+A record is ``record.json`` (the pivot, every capture and move in order, failures included, and what the station said
+it could reach) beside ``goal.npz`` and one ``.npz`` for each frame. It is whole after every act, whatever happens next.
 """
 
 import json
@@ -16,7 +16,7 @@ from reorient.depth import DepthImage
 from reorient.depth_files import read_depth, write_depth
 from reorient.errors import ReorientError, StationError
 from reorient.files import make_folder, replacing
-from reorient.stations.base import Station
+from reorient.stations.base import Station, pivot_of
 
 SAME_RAD = float(np.radians(0.1))  # a move that differs by less from the recorded one is that move
 
@@ -27,16 +27,19 @@ class RecordingStation:
     def __init__(self, station: Station, folder: str | Path, goal: DepthImage, about: dict[str, Any]) -> None:
         """``about``: what else to keep in the record, as JSON (the estimator, the strategy)."""
         self._station = station
+        pivot_m = pivot_of(station)
         self._folder = make_folder(folder)
         if (self._folder / "record.json").exists():
             raise ReorientError(f"{str(folder)!r} holds a record: expected a new folder")
         write_depth(self._folder / "goal.npz", goal)
-        pivot_m = station.pivot_m
         self._record: dict[str, Any] = {
             **about,
             "pivot_m": None if pivot_m is None else np.asarray(pivot_m, float).tolist(),
             "acts": [],
         }
+        if hasattr(station, "reachable"):
+            self._record["reachable"] = []
+            self.reachable = self._reachable
         self._write()
 
     @property
@@ -46,13 +49,13 @@ class RecordingStation:
 
     def capture(self) -> DepthImage:
         """The station's frame."""
+        name = f"{len(self._record['acts']):03d}.npz"
         try:
             image = self._station.capture()
+            write_depth(self._folder / name, image)
         except Exception as error:
             self._note({"capture": None, "error": f"{type(error).__name__}: {error}"})
             raise
-        name = f"{len(self._record['acts']):03d}.npz"
-        write_depth(self._folder / name, image)
         self._note({"capture": name})
         return image
 
@@ -62,24 +65,40 @@ class RecordingStation:
         try:
             done = self._station.rotate(R_step)
         except Exception as error:
-            self._note({"rotate": asked, "executed": None, "error": f"{type(error).__name__}: {error}"})
+            said = f"{type(error).__name__}: {error}"
+            self._note({"rotate": asked, "executed": None, "error": said, "clock_s": self._clock_s()})
             raise
-        clock = getattr(self._station, "clock_s", None)
-        self._note({"rotate": asked, "executed": _plain(done), "clock_s": clock() if clock else None})
+        self._note({"rotate": asked, "executed": _plain(done), "clock_s": self._clock_s()})
         return done
+
+    def _reachable(self, R_step: Float[np.ndarray, "3 3"]) -> bool:
+        """The station's answer, kept with the number of acts before it."""
+        can = bool(self._station.reachable(R_step))  # type: ignore[attr-defined]
+        asked = np.asarray(R_step, float).tolist()
+        self._record["reachable"].append({"acts": len(self._record["acts"]), "R_step": asked, "can": can})
+        self._write()
+        return can
+
+    def _clock_s(self) -> float | None:
+        """The station's clock; None where it has none, or fails to tell."""
+        try:
+            return float(self._station.clock_s())  # type: ignore[attr-defined]
+        except Exception:
+            return None
 
     def finish(self, reason: str, converged: bool) -> None:
         """Note how the loop ended."""
-        self._record |= {"reason": reason, "converged": converged}
+        self._record |= {"reason": reason, "converged": bool(converged)}
         self._write()
 
     def __getattr__(self, name: str) -> Any:
-        """What a station may have beside: ``reachable``, ``clock_s``."""
+        """What a station may have beside: ``clock_s``."""
         if name.startswith("_"):
             raise AttributeError(name)
         return getattr(self._station, name)
 
     def _note(self, act: dict[str, Any]) -> None:
+        json.dumps(act)  # what cannot be written must not be kept, or nothing could be written any more
         self._record["acts"].append(act)
         self._write()
 
@@ -100,10 +119,14 @@ class ReplayedStation:
             self._acts = list(self.record["acts"])
             pivot = self.record["pivot_m"]
             self._pivot_m = None if pivot is None else np.array(pivot, float)
+            answers = self.record.get("reachable")
+            self._answers = [(a["acts"], np.array(a["R_step"], float), bool(a["can"])) for a in answers or ()]
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise ReorientError(
                 f"no record in {str(folder)!r} ({error}): expected what `reorient orient --record` wrote"
             ) from error
+        if answers is not None:
+            self.reachable = self._reachable
         self._next = 0
         self._clock_s = -np.inf
 
@@ -123,10 +146,19 @@ class ReplayedStation:
 
     def rotate(self, R_step: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
         """What the recorded move did, if this is the recorded move."""
-        act = self._act("rotate", R_step)
-        if act.get("clock_s") is not None:
-            self._clock_s = float(act["clock_s"])
-        return np.array(act["executed"], float)
+        return np.array(self._act("rotate", R_step)["executed"], float)
+
+    def _reachable(self, R_step: Float[np.ndarray, "3 3"]) -> bool:
+        """What the station said of this rotation before the next act. Raises StationError where it was not asked."""
+        asked = [
+            (float(so3.angle_difference(R, np.asarray(R_step, float))), can)
+            for acts, R, can in self._answers
+            if acts == self._next
+        ]
+        away_rad, can = min(asked, default=(np.inf, False))
+        if away_rad > SAME_RAD:
+            raise StationError(f"the loop leaves the record at act {self._next}: it asks for the reach of another move")
+        return can
 
     def clock_s(self) -> float:
         """The station's clock after the last move; minus infinity where it had none."""
@@ -146,6 +178,8 @@ class ReplayedStation:
                     "degrees off the recorded one"
                 )
         self._next += 1
+        if act.get("clock_s") is not None:
+            self._clock_s = float(act["clock_s"])
         if act.get("error"):
             raise StationError(f"recorded failure: {act['error']}")
         return act
