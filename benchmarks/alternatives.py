@@ -83,11 +83,11 @@ def main(config: Alternatives) -> None:
     for kind in meshes:
         mine = [row for row in rows if row["symmetry"] == kind]
         for what, hits in (
-            ("right but for symmetry", [float(row["error_sym_deg"]) < RIGHT_DEG for row in mine]),
-            ("right", [float(row["error_deg"]) < RIGHT_DEG for row in mine]),
+            ("right but for symmetry", [float(str(row["error_sym_deg"])) < RIGHT_DEG for row in mine]),
+            ("right", [float(str(row["error_deg"])) < RIGHT_DEG for row in mine]),
             (
                 "the true rotation is the answer or an alternative",
-                [float(row["nearest_deg"]) < RIGHT_DEG for row in mine],
+                [float(str(row["nearest_deg"])) < RIGHT_DEG for row in mine],
             ),
             ("no alternatives", [row["alternatives"] == 0 for row in mine]),
         ):

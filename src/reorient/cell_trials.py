@@ -47,7 +47,7 @@ class Experiment:
     """How many of the source, drawn by a hash of the name among those without symmetry that the gripper can hold."""
     trials: int = 10
     """Goals and starts of each object."""
-    systems: tuple[str, ...] = ("gicp/algorithm1", "gicp/direct")
+    systems: tuple[str, ...] = ("default/fusing", "gicp/direct")
     """Each an estimator and a strategy: algorithm1 (eta 0.2, delta 0.5°), direct (eta 1), fusing; at most 50 images."""
     ranges_deg: tuple[tuple[float, float], ...] = ((30, 30),)
     """Ranges of the angle between start and goal."""

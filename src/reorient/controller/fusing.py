@@ -43,6 +43,7 @@ NAMED = 0.2  # what makes an alternative a rival
 RESERVED = 3  # moves kept for the way back to the best and the last small ones
 RIGHT_RAD = float(np.radians(5))  # what a confidence is about
 ERR_RAD = float(np.radians(0.5))  # of an average, as its captures err alike
+ENOUGH_RAD = float(np.radians(0.5))  # left where no more moves are allowed: a servo's play may forbid the tolerance
 LEAST_SURE = 0.5  # below this the loop ends without claiming the goal
 
 
@@ -113,7 +114,8 @@ class Fusing:
             said += "; another orientation matches about as well"
         if matches < LEAST_SURE:
             said += "; nothing that was tried surely matches the goal, and this is the likeliest"
-        return Decision(said, None, True, settled and sure >= LEAST_SURE, sure)
+        near = settled or angle_rad <= ENOUGH_RAD
+        return Decision(said, None, True, near and sure >= LEAST_SURE, sure)
 
 
 def _within(left_rad: float) -> float:

@@ -207,13 +207,13 @@ def _show(config: Experiment, loop: Loop, folder: Path) -> tuple[Path, str]:
     predicted_deg = [float(np.degrees(step.estimate.angle_rad)) for step in result.steps]
     curves = growing_curve(predicted_deg, errors_deg[: len(seen)], _PANEL_PX)
     frames = [
-        montage([cell, curve, goal, picture], 2, ["the cell", f"after {index} moves", "goal", "now"])
+        montage([cell, curve, goal, picture], 2, ["the cell", f"image {index + 1}", "goal", "now"])
         for index, (cell, curve, picture) in enumerate(zip(views, curves, seen, strict=False))
     ]
     gif = folder / "cell.gif"
     write_gif(gif, frames, _FRAME_MS, _LAST_FRAME_MS)
     at = np.unique(np.linspace(0, len(seen) - 1, _SHOWN).round().astype(int))
-    labels = ["goal", *(f"{i} moves: {errors_deg[i]:.1f}°" for i in at)]
+    labels = ["goal", *(f"image {i + 1}: {errors_deg[i]:.1f}°" for i in at)]
     return gif, png_data_uri(montage([goal, *(seen[i] for i in at)], len(labels), labels))
 
 
