@@ -174,7 +174,7 @@ def error_by_image(panels: Panels, reference_deg: float, reference: str) -> str:
                 first, median, third = np.percentile(whole, [25, 50, 75], axis=0)
                 axes.fill_between(range(last), first, third, color=looks[system]["color"], alpha=0.13, linewidth=0)
                 axes.plot(range(last), median, **looks[system])
-            axes.set(title=title, xlabel="moves", yscale="log")
+            axes.set(title=title, xlabel="images", yscale="log")
             axes.xaxis.set_major_locator(MaxNLocator(7, integer=True))
             _plain_decades(axes)
         grid[0].set_ylabel("error (median, quartiles)")
