@@ -178,8 +178,8 @@ class ReplayedStation:
                     "degrees off the recorded one"
                 )
         self._next += 1
-        if act.get("clock_s") is not None:
-            self._clock_s = float(act["clock_s"])
+        if kind == "rotate":
+            self._clock_s = -np.inf if act.get("clock_s") is None else float(act["clock_s"])
         if act.get("error"):
             raise StationError(f"recorded failure: {act['error']}")
         return act
