@@ -12,7 +12,8 @@ import tyro
 from reorient.errors import ReorientError
 
 VERBS = {  # by the file that holds them; only the one asked for is imported, as others take meshes and rays with them
-    "robot": ("Demo", "Estimate", "Orient", "Replay", "Capture"),
+    "estimating": ("Estimate",),
+    "robot": ("Demo", "Orient", "Replay", "Capture"),
     "offline": ("Objects", "Evaluate", "Report"),
     "learning": ("Generate", "Train", "Export"),
     "judging": ("Judge",),
