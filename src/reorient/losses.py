@@ -7,6 +7,8 @@ from torch import Tensor
 
 Quaternions = Float[Tensor, "n 4"]
 
+AT_ONCE = 4  # objects whose vertices are matched together: more products do not fit the cache
+
 
 def mean_loss(predicted_wxyz: Quaternions, true_wxyz: Quaternions) -> Float[Tensor, ""]:
     """1 - <q, q_hat>, the paper's stand-in for the angle.
@@ -42,9 +44,10 @@ def shape_match_loss(
     present = torch.arange(vertices.shape[1], device=count.device) < count[:, None]
     with torch.no_grad():
         # the nearest x2 maximises <x1, x2> - |x2|^2 / 2: one product, no square roots
-        half_square = vertices.square().sum(dim=2) / 2
-        half_square = torch.where(present, half_square, torch.inf)
-        nearest = torch.baddbmm(-half_square[:, None], moved, vertices.transpose(1, 2)).argmax(dim=2)
+        half_square = torch.where(present, vertices.square().sum(dim=2) / 2, torch.inf)[..., None]
+        left, right = torch.cat([moved, torch.ones_like(half_square)], 2), torch.cat([vertices, -half_square], 2)
+        few = zip(left.split(AT_ONCE), right.split(AT_ONCE), strict=True)
+        nearest = torch.cat([torch.bmm(a, b.transpose(1, 2)).argmax(dim=2) for a, b in few])
     matched = torch.gather(vertices, 1, nearest[..., None].expand(-1, -1, 3))
     square = (moved - matched).square().sum(dim=2) * present
     return (square.sum(dim=1) / (2 * count)).mean()
