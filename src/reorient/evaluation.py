@@ -9,13 +9,11 @@ import csv
 import gzip
 import io
 import json
-import shlex
 import shutil
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, field, is_dataclass
+from dataclasses import dataclass, field, is_dataclass
 from functools import lru_cache, partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -24,13 +22,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from reorient import __version__, so3
+from reorient import so3
 from reorient.errors import ReorientError
 from reorient.estimators import load_estimator
 from reorient.estimators.base import Estimator
-from reorient.files import commit, make_folder, replacing
+from reorient.files import make_folder, replacing
 from reorient.objects import ObjectSet, ObjectSource
 from reorient.pairs import Pair, sample_pair, view_overlap
+from reorient.provenance import run_record
 from reorient.rendering import Renderer, load_world
 from reorient.sensing import randomised
 from reorient.symmetry import SymmetryGroup, rotation_group, symmetric_error
@@ -296,29 +295,6 @@ def _write_config(config: Evaluation, out: Path, workers: int, own: str) -> None
         return
     with replacing(file) as temporary:
         temporary.write_text(json.dumps(run_record(config, workers=workers, own=own), indent=2) + "\n")
-
-
-def run_record(config: Any, **more: Any) -> dict[str, Any]:
-    """What made a run, for its config.json: the config (a dataclass), version, commit and command."""
-    asked = json.loads(json.dumps(asdict(config), default=str))
-    command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
-    return {"config": asked, "version": __version__, "commit": commit(), "command": command, **more}
-
-
-def keep_record(file: Path, config: Any, run: str) -> None:
-    """Write what makes a run into ``file``, or compare with what made it. Raises ReorientError for another config, in
-    which ``run`` names the run."""
-    record = run_record(config)
-    if not file.is_file():
-        with replacing(file) as temporary:
-            temporary.write_text(json.dumps(record, indent=2) + "\n")
-        return
-    try:
-        same = json.loads(file.read_text())["config"] == record["config"]
-    except (ValueError, KeyError, TypeError) as error:
-        raise ReorientError(f"broken {str(file)!r} ({error}): expected the config of a run") from error
-    if not same:
-        raise ReorientError(f"{run} is of another config: expected the same, or a new folder")
 
 
 def _described(estimator: Estimator) -> str:

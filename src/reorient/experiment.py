@@ -19,8 +19,9 @@ from reorient import so3
 from reorient.cell_trials import Experiment, chosen, close_loop, estimator_and_strategy, stage
 from reorient.controller import OrientResult
 from reorient.errors import ReorientError
-from reorient.evaluation import Row, run_record
+from reorient.evaluation import Row
 from reorient.files import make_folder, replacing, whole_lines, write_table
+from reorient.provenance import run_record
 
 NOT_STAGED = "not staged"
 COLUMNS = [

@@ -5,7 +5,6 @@ import gzip
 import io
 import os
 import secrets
-import subprocess
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -63,16 +62,3 @@ def whole_lines(path: Path) -> list[str]:
     with replacing(path) as temporary:
         temporary.write_text("".join(lines))
     return lines
-
-
-def commit() -> str | None:
-    """What this package is at, in a clone of its repository; None where it is installed."""
-    try:
-        root = Path(__file__).parents[2]
-        if not (root / "pyproject.toml").is_file():  # installed: a repository around it is somebody else's
-            return None
-        return subprocess.run(
-            ["git", "describe", "--always", "--dirty"], cwd=root, capture_output=True, text=True, check=True
-        ).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        return None

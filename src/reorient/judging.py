@@ -20,10 +20,10 @@ from reorient.errors import ReorientError
 from reorient.estimators.default import pose
 from reorient.estimators.judge import FEATURES, features
 from reorient.estimators.search import EFFORTS, search
-from reorient.evaluation import keep_record
 from reorient.files import make_folder, replacing
 from reorient.objects import ObjectSource
 from reorient.pairs import Pair, sample_pair
+from reorient.provenance import keep_record
 from reorient.rendering import Renderer, load_world
 from reorient.sensing import randomised
 from reorient.symmetry import rotation_group, symmetric_error

@@ -29,10 +29,11 @@ from torch.utils.data import DataLoader
 from reorient import losses
 from reorient.batches import Augmentation, Batches
 from reorient.errors import ReorientError
-from reorient.files import commit, make_folder, replacing
+from reorient.files import make_folder, replacing
 from reorient.network import build
 from reorient.objects import split
 from reorient.pair_store import PairReader
+from reorient.provenance import commit
 from reorient.recipes import LossName, Training, lr_at
 
 HALF = "_half"  # marks weights that an export stores as float16

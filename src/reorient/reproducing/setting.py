@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from reorient.errors import ReorientError
-from reorient.evaluation import Row, keep_record
+from reorient.evaluation import Row
 from reorient.files import make_folder, whole_lines, write_table
 from reorient.objects import ObjectSource
+from reorient.provenance import keep_record
 
 States = Iterator[tuple[int, int] | tuple[int, int, str]]
 
