@@ -17,6 +17,7 @@ ROOMS = [
     "errors",
     "plugins",
     "files",
+    "provenance",
     "so3",
     "depth",
     "depth_files",
