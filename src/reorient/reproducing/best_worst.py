@@ -47,7 +47,7 @@ def findings(folder: Path) -> Sequence[Finding]:
         Finding(
             f"{name}, {end} of the pairs", float(row["error_deg"]), nan, nan, len(of(rows, name)),
             paper=PAPER[end] if name == "paper" else "",
-            differs=f"full set's test objects; at {float(row['angle_deg']):.1f}°; the best is of {TURNED_DEG:g}° or more",
+            differs=f"full set's test objects; at {float(row['angle_deg']):.1f}°; best of those from {TURNED_DEG:g}°",
         )
         for name in estimators(rows)
         for end, row in _extremes(rows, name).items()
