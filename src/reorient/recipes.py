@@ -28,7 +28,7 @@ class Training:
     weight_decay: float = 1e-9
     """The paper's l2 penalty."""
     dropout: float = 0.4
-    """Share of the head's units left out in a step."""
+    """Share of the head's units left out in a step; the paper's 0.4 costs much (RESULTS.md)."""
     patience: int = 10
     """Stop after so many epochs without a better validation error."""
     test_objects: int | None = None
