@@ -17,7 +17,8 @@ class Training:
     network: NetworkName = "paper"
     """The paper's siamese ResNet-9, or swift: both images at once."""
     loss: LossName = "hybrid"
-    """hybrid: mean in the first epoch, then ShapeMatch; mean; shapematch; chord: mean first, then |q - q_hat|."""
+    """hybrid: mean in the first epoch, then ShapeMatch; mean; shapematch; chord: mean first, then |q - q_hat|. A warm
+    start does without the first."""
     epochs: int = 100
     batch: int = 64
     """Pairs a step, of one process."""

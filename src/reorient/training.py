@@ -69,9 +69,10 @@ def train(
 ) -> Iterator[Progress]:
     """Train into the folder ``out``; goes on exactly where an earlier run of the same config stopped.
 
-    ``warm_start``: a .safetensors file of weights to begin with. Several processes and machines: start the command with
-    ``torchrun``; each takes its part of every step's pairs. Raises ReorientError for another config in ``out``, and for
-    weights that do not fit.
+    ``warm_start``: weights to begin with, of a run (.safetensors) or an export (.onnx); hybrid and chord then do
+    without the mean loss of the first epoch, which is for weights that know nothing yet. Several processes and
+    machines: start the command with ``torchrun``; each takes its part of every step's pairs. Raises ReorientError for
+    another config in ``out``, and for weights that do not fit.
     """
     reader = PairReader(pairs)
     parts = split(reader.names, config.test_objects)
@@ -92,7 +93,7 @@ def train(
     network, optimizer = fabric.setup(network, optimizer)
     state: dict[str, Any] = {
         "epoch": 0, "batch": 0, "loss_sum": 0.0, "seconds": 0.0,
-        "best_deg": math.inf, "best_epoch": -1, "finished": False,
+        "best_deg": math.inf, "best_epoch": -1, "finished": False, "warm": warm_start is not None,
     }  # fmt: skip
     _begin(config, reader, out, fabric)
     last = out / "last.ckpt"
@@ -112,6 +113,7 @@ def train(
 
     while state["epoch"] < config.epochs and not state["finished"]:
         epoch = state["epoch"]
+        loss_now = loss_of(config.loss, first=epoch == 0 and not state["warm"])
         batches = Batches(
             reader, parts.train, config.batch, (config.seed, epoch), state["batch"], fabric.global_rank,
             fabric.world_size, Augmentation(config.turned, config.noise),
@@ -126,7 +128,7 @@ def train(
             for group in optimizer.param_groups:
                 group["lr"] = lr_at(config, epoch, state["batch"] / len(batches))
             predicted = network(batch["images"].to(memory_format=torch.channels_last))
-            loss = loss_of(config.loss, epoch)(predicted, batch, vertices, counts)
+            loss = loss_now(predicted, batch, vertices, counts)
             optimizer.zero_grad()
             fabric.backward(loss)
             optimizer.step()
@@ -142,7 +144,7 @@ def train(
                 save()
                 saved = now
         validation = Batches(reader, parts.validation, config.batch, (config.seed,), limit=config.validation_pairs)
-        errors_deg, validation_loss = validate(network, validation, loss_of(config.loss, epoch), vertices, counts)
+        errors_deg, validation_loss = validate(network, validation, loss_now, vertices, counts)
         mean_deg = float(errors_deg.mean())
         better = mean_deg < state["best_deg"]
         if better:
@@ -172,8 +174,9 @@ def train(
 LossFunction = Callable[[Tensor, dict[str, Tensor], Tensor, Tensor], Tensor]
 
 
-def loss_of(name: LossName, epoch: int) -> LossFunction:
-    """The loss of an epoch, as a function of predictions, batch, all objects' vertices and their counts."""
+def loss_of(name: LossName, first: bool = False) -> LossFunction:
+    """The loss, in the first epoch of fresh weights or later, as a function of predictions, batch, all objects'
+    vertices and their counts."""
 
     def shape_match(predicted: Tensor, batch: dict[str, Tensor], vertices: Tensor, counts: Tensor) -> Tensor:
         index = batch["object_index"]
@@ -181,9 +184,9 @@ def loss_of(name: LossName, epoch: int) -> LossFunction:
         most = int(counts[index].max())
         return losses.shape_match_loss(predicted, batch["quat_wxyz"], posed[:, :most], counts[index])
 
-    if name == "shapematch" or (name == "hybrid" and epoch > 0):
+    if name == "shapematch" or (name == "hybrid" and not first):
         return shape_match
-    angular = losses.chord_loss if name == "chord" and epoch > 0 else losses.mean_loss
+    angular = losses.chord_loss if name == "chord" and not first else losses.mean_loss
     return lambda predicted, batch, vertices, counts: angular(predicted, batch["quat_wxyz"])
 
 

@@ -137,6 +137,17 @@ def test_validation_objects_are_neither_trained_on_nor_tested(small_set, tmp_pat
     assert not set(parts.train) & set(parts.validation)
 
 
+def test_warm_start_does_without_the_first_epoch_of_mean_loss(trained, small_set, tmp_path):
+    config = replace(DEBUG, loss="chord", epochs=1, lr=1e-9)
+    losses = {}
+    for name, warm_start in (("fresh", None), ("warm", trained[0] / "best.safetensors")):
+        run(config, small_set, tmp_path / name, warm_start=warm_start)
+        with (tmp_path / name / "metrics.csv").open() as file:
+            losses[name] = float(next(csv.DictReader(file))["validation_loss"])
+    assert losses["fresh"] < 0.02  # 1 - <q, q_hat> goes with the square of the angle,
+    assert losses["warm"] > 0.05  # |q - q_hat| with half of it
+
+
 def test_warm_start_begins_with_those_weights(trained, small_set, tmp_path):
     config = replace(DEBUG, epochs=1, lr=1e-9)
     half = {key: value.half() if value.is_floating_point() else value for key, value in weights(trained[0]).items()}

@@ -14,8 +14,8 @@ from reorient.pairs import PairSet
 from reorient.recipes import LossName, Training, load_preset
 from reorient.reproducing.setting import Setting
 
-# that of the weights in the package: with the paper's own rate of 0.002, or its dropout of 0.4 and few objects, training
-# does not leave "no rotation" here (RESULTS.md)
+# that of the weights in the package: with the paper's rate of 0.002, or its dropout of 0.4 on few objects, training
+# hardly leaves "no rotation" here (RESULTS.md)
 RECIPE = replace(load_preset("paper"), schedule="cosine", lr=0.0005, dropout=0.0)
 
 
