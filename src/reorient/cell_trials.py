@@ -229,7 +229,7 @@ def _turn_away(cell: Any, rng: Generator, low_rad: float, high_rad: float) -> Fl
 
 
 def _score_masks(cell: Any, image: str) -> dict[str, Any]:
-    """How well each segmentation tells the object: of the returns, and of all pixels whose ray hits the object."""
+    """How well each segmentation tells the object: its returns, and all pixels whose ray hits it."""
     frame = cell.frame(colour=True)
     hit = cell.plant.shows_object()
     row: dict[str, Any] = {
@@ -242,7 +242,7 @@ def _score_masks(cell: Any, image: str) -> dict[str, Any]:
             mask = object_mask(frame, cell.calibration, segmentation)
         except ReorientError:
             mask = np.zeros_like(hit)
-        row[f"iou_{name}"] = f"{_iou(mask, hit & frame.depth.valid):.4f}"
+        row[f"iou_{name}"] = f"{_iou(mask & frame.depth.valid, hit & frame.depth.valid):.4f}"
         row[f"iou_{name}_all"] = f"{_iou(mask, hit):.4f}"
     return row
 

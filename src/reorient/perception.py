@@ -1,8 +1,9 @@
 """From the frames of a cell to the isolated object (paper, "Controller Experiments on Physical Objects").
 
 Colour aligned into the depth camera, points in world axes, a box around the gripper, then the gripper removed, by its
-colour as in the paper or, better, by its known shape at its measured pose; the rest cropped to 128 x 128. Nothing in
-here knows whether the cell is real.
+colour as in the paper or, better, by its known shape at its measured pose; the rest cropped to 128 x 128. Where the
+sensor returned nothing the object's outline is filled in, as a mask beside the depth, which stays what was returned.
+Nothing in here knows whether the cell is real.
 """
 
 from dataclasses import dataclass, replace
@@ -15,19 +16,24 @@ from jaxtyping import Bool, Float, UInt8
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from reorient.calibration import Calibration, MountedCamera, moved
-from reorient.colour import ColourRange
+from reorient import so3
+from reorient.calibration import Calibration, MountedCamera, moved, transform
+from reorient.colour import ColourRange, ColourTable
 from reorient.depth import Camera, DepthImage
 from reorient.errors import ReorientError
 from reorient.rendering import Placement, Renderer
 
 CROP_PX, SIZE_PX = 256, 128  # the paper's window, at least, and what it is resized to
 _MARGIN = 1.1  # of the window, where the object is larger than that
-_SPECK = 0.05  # a connected part smaller than this share of the largest is no part of the object
+_SPECK = 0.01  # a connected part smaller than this share of the largest is no part of the object
 _BLUR_PX = 1.0  # over which colours are smoothed
 _HIDDEN_M = 0.01  # a point this much behind what the colour camera sees there is hidden from it
+_GAP_M = 0.015  # missing returns this near to the object on both sides are the object's
+_NEARBY_M = 0.04  # and those that have its colour, within this
 _FEWEST = 200  # returns from the gripper to correct a calibration with
 _ASTRAY_M = 0.012  # how far off a calibration may be that one frame corrects
+_ASTRAY_PX = 16  # and by how much the colour camera may show the gripper elsewhere
+_EDGE_M = 0.005  # a step in depth that makes an outline
 
 Mask = Bool[np.ndarray, "height width"]
 
@@ -61,6 +67,10 @@ class Segmentation(Protocol):
         """Which of the returns inside the box are the object's."""
         ...
 
+    def fill(self, frame: Frame, calibration: Calibration, mask: Mask) -> Mask:
+        """Which pixels without return are the object's as well, given those that returned."""
+        ...
+
 
 @dataclass(frozen=True)
 class ByShape:
@@ -76,6 +86,13 @@ class ByShape:
         points_m = frame.depth.camera.rays()[inside] * frame.depth.depth_m[inside][:, None]
         kept[inside] = np.isinf(cKDTree(surface_m).query(points_m, distance_upper_bound=self.margin_m)[0])
         return kept
+
+    def fill(self, frame: Frame, calibration: Calibration, mask: Mask) -> Mask:
+        """Gaps in the object, but for those that the robot stands before."""
+        beside_m, distance_px = _beside(frame, mask)
+        robot_m = _expected_depth(frame, calibration.depth)
+        before = (robot_m > 0) & (robot_m < beside_m + self.margin_m)
+        return _closed(mask, distance_px, _GAP_M * _px_per_m(frame, mask)) & ~frame.depth.valid & ~before
 
 
 @dataclass(frozen=True)
@@ -94,13 +111,29 @@ class ByColour:
         nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
         return is_object[tuple(nearest)] & inside
 
+    def fill(self, frame: Frame, calibration: Calibration, mask: Mask) -> Mask:
+        """Nearby pixels of the object's colour, its own and no other's in the image; gaps where none is known.
+
+        To find a pixel without return in the colour image it is taken to be as deep as the object beside it.
+        """
+        beside_m, distance_px = _beside(frame, mask)
+        missing = ~frame.depth.valid & (distance_px <= _NEARBY_M * _px_per_m(frame, mask))
+        supposed_m = np.where(missing, beside_m, frame.depth.depth_m)
+        rgb, known = align(replace(frame, depth=replace(frame.depth, depth_m=supposed_m)), calibration)
+        others = known & frame.depth.valid & ~mask
+        looks = ColourTable.learned(rgb[mask & known], rgb[others]).contains(rgb)
+        gaps = _closed(mask, distance_px, _GAP_M * _px_per_m(frame, mask))
+        found = missing & np.where(known, looks, gaps)
+        labels, _ = ndimage.label(found | mask, np.ones((3, 3)))
+        return found & np.isin(labels, np.unique(labels[mask]))
+
 
 @dataclass(frozen=True)
 class Box:
     """The part of the world around the tool centre where the object can be."""
 
-    half_m: tuple[float, float, float] = (0.11, 0.11, 0.11)
-    """Half extents along the world's axes."""
+    half_m: tuple[float, float, float] = (0.14, 0.14, 0.14)
+    """Half extents along the world's axes: an object of 65 mm radius may be held by its end."""
 
     def inside(self, frame: Frame, calibration: Calibration) -> Mask:
         """Which returns lie in it."""
@@ -117,11 +150,17 @@ def isolate_object(
     frame: Frame, calibration: Calibration, segmentation: Segmentation, box: Box | None = None
 ) -> DepthImage:
     """The object alone, 128 x 128. Raises ReorientError where none of it is left."""
-    mask = object_mask(frame, calibration, segmentation, box)
+    mask = object_returns(frame, calibration, segmentation, box)
     return crop(replace(frame.depth, depth_m=np.where(mask, frame.depth.depth_m, np.float32(0))))
 
 
 def object_mask(frame: Frame, calibration: Calibration, segmentation: Segmentation, box: Box | None = None) -> Mask:
+    """All pixels that show the object, returned by the sensor or not. Raises ReorientError where none did."""
+    returned = object_returns(frame, calibration, segmentation, box)
+    return returned | segmentation.fill(frame, calibration, returned)
+
+
+def object_returns(frame: Frame, calibration: Calibration, segmentation: Segmentation, box: Box | None = None) -> Mask:
     """The returns that are the object's. Raises ReorientError where there are none."""
     inside = (box or Box()).inside(frame, calibration)
     if not inside.any():
@@ -180,7 +219,10 @@ def learn_gripper_colour(empty: Frame, calibration: Calibration, box: Box | None
 
 
 def corrected(calibration: Calibration, empty: Frame, reach_m: float = 0.2) -> Calibration:
-    """The depth camera's place, put right by laying one frame of the empty gripper onto what it must look like.
+    """The cameras' places, put right by laying one frame of the empty gripper onto what it must look like.
+
+    The depth camera by its returns; the colour camera, where there is one, aimed so that the gripper's outline lies on
+    edges of the image.
 
     ``reach_m``: half extent of the box around the tool centre that is compared. Raises ReorientError where gripper and
     returns are apart.
@@ -207,15 +249,68 @@ def corrected(calibration: Calibration, empty: Frame, reach_m: float = 0.2) -> C
             num_threads=1,
         )
         T = found.T_target_source
-    return replace(calibration, depth=replace(calibration.depth, T_world_camera=calibration.depth.T_world_camera @ T))
+    depth = replace(calibration.depth, T_world_camera=calibration.depth.T_world_camera @ T)
+    if calibration.color is None or empty.color is None:
+        return replace(calibration, depth=depth)
+    return Calibration(depth, _aimed(calibration.color, empty.color, empty.robot))
+
+
+def _aimed(mounted: MountedCamera, color: ColorImage, robot: trimesh.Trimesh) -> MountedCamera:
+    """The colour camera turned, without roll, to where the robot's outline lies on the strongest edges."""
+    camera = color.camera
+    outline = _outline(_robot_depth(robot, mounted, camera))
+    edges = sum(ndimage.gaussian_gradient_magnitude(color.rgb[..., i].astype(float), _BLUR_PX) for i in range(3))
+    rows, columns = np.nonzero(outline)
+    padded = np.pad(edges, _ASTRAY_PX)
+    shifts = np.arange(2 * _ASTRAY_PX + 1)
+    under = [[padded[rows + down, columns + right].sum() for right in shifts] for down in shifts]
+    down, right = np.unravel_index(np.argmax(ndimage.gaussian_filter(under, _BLUR_PX)), np.shape(under))
+    seen_x, seen_y = (right - _ASTRAY_PX) / camera.fx, (down - _ASTRAY_PX) / camera.fy
+    R_old_new = so3.exp(np.array([seen_y, -seen_x, 0.0]))
+    return replace(mounted, T_world_camera=mounted.T_world_camera @ transform(R_old_new, np.zeros(3)))
+
+
+def _outline(depth_m: Float[np.ndarray, "h w"]) -> Mask:
+    """The pixels next to others that are much farther, or nothing."""
+    far_m = np.where(depth_m > 0, depth_m, np.inf)
+    return (depth_m > 0) & (ndimage.maximum_filter(far_m, 3, mode="nearest") > far_m + _EDGE_M)
 
 
 def _expected_points(frame: Frame, mounted: MountedCamera) -> Float[np.ndarray, "n 3"]:
     """What the depth camera must see of the robot, in camera axes; nothing where the robot is out of its view."""
-    T = mounted.T_camera_world
-    center_m = frame.robot.bounds.mean(axis=0)
-    depth_m = Renderer(frame.robot).depth(frame.depth.camera, T[:3, :3], Placement(1.0, moved(T, center_m)))
+    depth_m = _expected_depth(frame, mounted)
     return frame.depth.camera.rays()[depth_m > 0] * depth_m[depth_m > 0][:, None]
+
+
+def _expected_depth(frame: Frame, mounted: MountedCamera) -> Float[np.ndarray, "h w"]:
+    """The depth that the robot must have in the depth camera's image; 0 where it is not."""
+    return _robot_depth(frame.robot, mounted, frame.depth.camera)
+
+
+def _robot_depth(robot: trimesh.Trimesh, mounted: MountedCamera, camera: Camera) -> Float[np.ndarray, "h w"]:
+    """The same for any camera; ``camera``: the mounted one or a window of it."""
+    T = mounted.T_camera_world
+    return Renderer(robot).depth(camera, T[:3, :3], Placement(1.0, moved(T, robot.bounds.mean(axis=0))))
+
+
+# --- where the sensor returned nothing ------------------------------------------------------------------------------
+
+
+def _beside(frame: Frame, mask: Mask) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+    """For each pixel the depth of the object's nearest return, and how many pixels away that is."""
+    distance_px, nearest = ndimage.distance_transform_edt(~mask, return_indices=True)
+    return frame.depth.depth_m[tuple(nearest)], distance_px
+
+
+def _closed(mask: Mask, distance_px: Float[np.ndarray, "h w"], reach_px: float) -> Mask:
+    """Morphological closing by a disc."""
+    near = distance_px <= reach_px
+    return ndimage.distance_transform_edt(near) > reach_px
+
+
+def _px_per_m(frame: Frame, mask: Mask) -> float:
+    """How large a metre looks at the object."""
+    return frame.depth.camera.fx / float(np.median(frame.depth.depth_m[mask]))
 
 
 def _extent(mask: Mask) -> tuple[slice, slice]:
