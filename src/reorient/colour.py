@@ -13,6 +13,7 @@ _SHARE = 0.95  # of the pixels that a learned range holds, in hue and in saturat
 _GREY = 0.15  # below this median saturation hue is noise, and any will do
 _MORE = 0.05  # a learned range reaches this much further in saturation
 _BINS = 16  # of a table of colours, in each of red, green, blue
+_CLEARLY = 3.0  # times as common in a thing as in what surrounds it is its own
 _RAREST = 0.01  # of the density of a thing's commonest colour: what is rarer is not its own
 
 
@@ -84,7 +85,7 @@ class ColourTable:
     def learned(cls, rgb: UInt8[np.ndarray, "n 3"], others: UInt8[np.ndarray, "m 3"]) -> "ColourTable":
         """From pixels of the thing and of what surrounds it; light and shade between those seen count as well."""
         density, other_density = (_density(pixels) for pixels in (rgb, others))
-        return cls((density > other_density) & (density > _RAREST * density.max()))
+        return cls((density > _CLEARLY * other_density) & (density > _RAREST * density.max()))
 
     def contains(self, rgb: UInt8[np.ndarray, "*n 3"]) -> Bool[np.ndarray, "*n"]:
         """Which colours are the thing's."""

@@ -28,12 +28,12 @@ _MARGIN = 1.1  # of the window, where the object is larger than that
 _SPECK = 0.01  # a connected part smaller than this share of the largest is no part of the object
 _BLUR_PX = 1.0  # over which colours are smoothed
 _HIDDEN_M = 0.01  # a point this much behind what the colour camera sees there is hidden from it
-_GAP_M = 0.015  # missing returns this near to the object on both sides are the object's
+_GAP_M = 0.02  # missing returns this near to the object on both sides are the object's
 _NEARBY_M = 0.04  # and those that have its colour, within this
 _FEWEST = 200  # returns from the gripper to correct a calibration with
 _ASTRAY_M = 0.012  # how far off a calibration may be that one frame corrects
 _ASTRAY_PX = 16  # and by how much the colour camera may show the gripper elsewhere
-_EDGE_M = 0.005  # a step in depth that makes an outline
+_EDGE_M = 0.02  # a step in depth that makes an outline; at a grazing side it is smaller
 
 Mask = Bool[np.ndarray, "height width"]
 
