@@ -128,7 +128,9 @@ def test_only_colour_finds_a_dark_side_and_neither_takes_lost_background_for_the
     beside = np.zeros_like(truth)
     beside[:, columns.max() - 5 :] = True  # the object's end, and the table beyond
     frame = without(frame, beside)
-    shape, colour = (object_mask(frame, TRUE, segmentation) for segmentation in both_ways())
+    by_shape, by_colour = both_ways()
+    shape, colour = object_mask(replace(frame, color=None), TRUE, by_shape), object_mask(frame, TRUE, by_colour)
+    np.testing.assert_array_equal(object_mask(frame, TRUE, by_shape) & truth & beside, colour & truth & beside)
     assert (shape & beside & ~truth).sum() < 0.01 * truth.sum()
     assert (colour & beside & ~truth).sum() < 0.06 * truth.sum()  # a pixel or two around it
     assert (shape & beside & truth).sum() < 0.2 * (beside & truth).sum()

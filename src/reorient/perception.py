@@ -88,11 +88,12 @@ class ByShape:
         return kept
 
     def fill(self, frame: Frame, calibration: Calibration, mask: Mask) -> Mask:
-        """Gaps in the object, but for those that the robot stands before."""
-        beside_m, distance_px = _beside(frame, mask)
+        """As ``ByColour`` where the frame has colours, else gaps; never where the robot stands before the object."""
+        beside_m, _ = _beside(frame, mask)
         robot_m = _expected_depth(frame, calibration.depth)
         before = (robot_m > 0) & (robot_m < beside_m + self.margin_m)
-        return _closed(mask, distance_px, _GAP_M * _px_per_m(frame, mask)) & ~frame.depth.valid & ~before
+        coloured = frame.color is not None and calibration.color is not None
+        return (_alike(frame, calibration, mask) if coloured else _gaps(frame, mask)) & ~before
 
 
 @dataclass(frozen=True)
@@ -112,20 +113,8 @@ class ByColour:
         return is_object[tuple(nearest)] & inside
 
     def fill(self, frame: Frame, calibration: Calibration, mask: Mask) -> Mask:
-        """Nearby pixels of the object's colour, its own and no other's in the image; gaps where none is known.
-
-        To find a pixel without return in the colour image it is taken to be as deep as the object beside it.
-        """
-        beside_m, distance_px = _beside(frame, mask)
-        missing = ~frame.depth.valid & (distance_px <= _NEARBY_M * _px_per_m(frame, mask))
-        supposed_m = np.where(missing, beside_m, frame.depth.depth_m)
-        rgb, known = align(replace(frame, depth=replace(frame.depth, depth_m=supposed_m)), calibration)
-        others = known & frame.depth.valid & ~mask
-        looks = ColourTable.learned(rgb[mask & known], rgb[others]).contains(rgb)
-        gaps = _closed(mask, distance_px, _GAP_M * _px_per_m(frame, mask))
-        found = missing & np.where(known, looks, gaps)
-        labels, _ = ndimage.label(found | mask, np.ones((3, 3)))
-        return found & np.isin(labels, np.unique(labels[mask]))
+        """What has the colour of the object that was found, not of what surrounds it."""
+        return _alike(frame, calibration, mask)
 
 
 @dataclass(frozen=True)
@@ -296,16 +285,33 @@ def _robot_depth(robot: trimesh.Trimesh, mounted: MountedCamera, camera: Camera)
 # --- where the sensor returned nothing ------------------------------------------------------------------------------
 
 
+def _alike(frame: Frame, calibration: Calibration, mask: Mask) -> Mask:
+    """Nearby pixels without return of the object's colour, its own and no other's; gaps where no colour is known.
+
+    To find a pixel in the colour image it is taken to be as deep as the object beside it.
+    """
+    beside_m, distance_px = _beside(frame, mask)
+    missing = ~frame.depth.valid & (distance_px <= _NEARBY_M * _px_per_m(frame, mask))
+    supposed_m = np.where(missing, beside_m, frame.depth.depth_m)
+    rgb, known = align(replace(frame, depth=replace(frame.depth, depth_m=supposed_m)), calibration)
+    others = known & frame.depth.valid & ~mask
+    looks = ColourTable.learned(rgb[mask & known], rgb[others]).contains(rgb)
+    found = missing & np.where(known, looks, _gaps(frame, mask))
+    labels, _ = ndimage.label(found | mask, np.ones((3, 3)))
+    return found & np.isin(labels, np.unique(labels[mask]))
+
+
+def _gaps(frame: Frame, mask: Mask) -> Mask:
+    """Pixels without return that a morphological closing by a disc adds to the object."""
+    reach_px = _GAP_M * _px_per_m(frame, mask)
+    near = _beside(frame, mask)[1] <= reach_px
+    return (ndimage.distance_transform_edt(near) > reach_px) & ~frame.depth.valid
+
+
 def _beside(frame: Frame, mask: Mask) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
     """For each pixel the depth of the object's nearest return, and how many pixels away that is."""
     distance_px, nearest = ndimage.distance_transform_edt(~mask, return_indices=True)
     return frame.depth.depth_m[tuple(nearest)], distance_px
-
-
-def _closed(mask: Mask, distance_px: Float[np.ndarray, "h w"], reach_px: float) -> Mask:
-    """Morphological closing by a disc."""
-    near = distance_px <= reach_px
-    return ndimage.distance_transform_edt(near) > reach_px
 
 
 def _px_per_m(frame: Frame, mask: Mask) -> float:

@@ -28,6 +28,11 @@ PAPER_DEG = 4.2  # median of the paper's 50 physical trials
 _PAPER = "paper's physical cell, 4.2° (other objects)"
 _PANEL_PX, _FRAME_MS, _LAST_FRAME_MS = 300, 220, 2500
 _SHOWN = 6  # images of the showcase
+_WAYS = {
+    "shape": "by the gripper's shape",
+    "shape_coloured": "by the gripper's shape, filled in by the object's colour",
+    "colour": "by the gripper's colour (HSV), filled in by the object's",
+}
 _MASKS = (
     "The object in the last image of that loop, as each segmentation tells it: green where the depth camera returned "
     "something, orange where it did not; black: no return that is taken for the object's."
@@ -115,7 +120,7 @@ def mask_summary(folder: Path) -> list[str]:
         else []
     )
     said = []
-    for name, words in (("shape", "by the gripper's shape"), ("colour", "by its colour (HSV)")):
+    for name, words in _WAYS.items():
         column = f"iou_{name}"
         values = np.array([float(row[column]) for row in rows if row.get(column)])
         every = np.array([float(row[f"{column}_all"]) for row in rows if row.get(column)])
