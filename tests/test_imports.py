@@ -43,6 +43,7 @@ ROOMS = [
     "training",
     "export",
     "perception",
+    "recalibration",
     "stations.base",
     "stations",
     "recognition",

@@ -18,13 +18,13 @@ from reorient.perception import (
     ColorImage,
     Frame,
     align,
-    corrected,
     crop,
     isolate_object,
     learn_gripper_colour,
     object_mask,
     object_returns,
 )
+from reorient.recalibration import corrected
 from reorient.rendering import Placement, Renderer
 
 DOWN = np.diag([1.0, -1.0, -1.0])
@@ -170,7 +170,12 @@ def test_a_colour_camera_astray_is_aimed_by_the_empty_gripper():
         return float(np.linalg.norm(np.subtract(*(TRUE.color.camera.project(x) for x in at_m))))
 
     assert off_px(wrong) > 2
-    assert off_px(right) < 1.2
+    assert off_px(right) < 0.5
+
+
+def test_a_colour_camera_that_sees_no_gripper_stays_as_it_was():
+    elsewhere = replace(TRUE.color, T_world_camera=transform(DOWN, TOOL_M + np.array([4.0, 0.0, 0.6])))
+    assert corrected(Calibration(TRUE.depth, elsewhere), take(holds=False)[0]).color is elsewhere
 
 
 def test_a_calibration_astray_is_put_right_by_the_empty_gripper():

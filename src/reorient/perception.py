@@ -10,14 +10,12 @@ from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-import small_gicp
 import trimesh
 from jaxtyping import Bool, Float, UInt8
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from reorient import so3
-from reorient.calibration import Calibration, MountedCamera, moved, transform
+from reorient.calibration import Calibration, MountedCamera, moved
 from reorient.colour import ColourRange, ColourTable
 from reorient.depth import Camera, DepthImage
 from reorient.errors import ReorientError
@@ -30,10 +28,6 @@ _BLUR_PX = 1.0  # over which colours are smoothed
 _HIDDEN_M = 0.01  # a point this much behind what the colour camera sees there is hidden from it
 _GAP_M = 0.02  # missing returns this near to the object on both sides are the object's
 _NEARBY_M = 0.04  # and those that have its colour, within this
-_FEWEST = 200  # returns from the gripper to correct a calibration with
-_ASTRAY_M = 0.012  # how far off a calibration may be that one frame corrects
-_ASTRAY_PX = 16  # and by how much the colour camera may show the gripper elsewhere
-_EDGE_M = 0.02  # a step in depth that makes an outline; at a grazing side it is smaller
 
 Mask = Bool[np.ndarray, "height width"]
 
@@ -82,7 +76,7 @@ class ByShape:
     def keep(self, frame: Frame, calibration: Calibration, inside: Mask) -> Mask:
         """Returns farther than the margin from what the depth camera must see of the robot."""
         kept = inside.copy()
-        surface_m = _expected_points(frame, calibration.depth)
+        surface_m = robot_points(frame, calibration.depth)
         points_m = frame.depth.camera.rays()[inside] * frame.depth.depth_m[inside][:, None]
         kept[inside] = np.isinf(cKDTree(surface_m).query(points_m, distance_upper_bound=self.margin_m)[0])
         return kept
@@ -90,7 +84,7 @@ class ByShape:
     def fill(self, frame: Frame, calibration: Calibration, mask: Mask) -> Mask:
         """As ``ByColour`` where the frame has colours, else gaps; never where the robot stands before the object."""
         beside_m, _ = _beside(frame, mask)
-        robot_m = _expected_depth(frame, calibration.depth)
+        robot_m = robot_depth(frame.robot, calibration.depth, frame.depth.camera)
         before = (robot_m > 0) & (robot_m < beside_m + self.margin_m)
         coloured = frame.color is not None and calibration.color is not None
         return (_alike(frame, calibration, mask) if coloured else _gaps(frame, mask)) & ~before
@@ -198,7 +192,7 @@ def align(frame: Frame, calibration: Calibration) -> tuple[UInt8[np.ndarray, "h 
     return aligned, known
 
 
-# --- learning from the empty gripper --------------------------------------------------------------------------------
+# --- the robot, known beforehand ------------------------------------------------------------------------------------
 
 
 def learn_gripper_colour(empty: Frame, calibration: Calibration, box: Box | None = None) -> ColourRange:
@@ -207,77 +201,14 @@ def learn_gripper_colour(empty: Frame, calibration: Calibration, box: Box | None
     return ColourRange.learned(rgb[known & (box or Box()).inside(empty, calibration)])
 
 
-def corrected(calibration: Calibration, empty: Frame, reach_m: float = 0.2) -> Calibration:
-    """The cameras' places, put right by laying one frame of the empty gripper onto what it must look like.
-
-    The depth camera by its returns; the colour camera, where there is one, aimed so that the gripper's outline lies on
-    edges of the image.
-
-    ``reach_m``: half extent of the box around the tool centre that is compared. Raises ReorientError where gripper and
-    returns are apart.
-    """
-    inside = Box((reach_m,) * 3).inside(empty, calibration)
-    seen_m = empty.depth.camera.rays()[inside] * empty.depth.depth_m[inside][:, None]
-    surface_m = _expected_points(empty, calibration.depth)
-    distance_m = cKDTree(surface_m).query(seen_m, distance_upper_bound=_ASTRAY_M)[0]
-    seen_m = seen_m[np.isfinite(distance_m)]
-    if len(seen_m) < _FEWEST:
-        raise ReorientError(
-            f"{len(seen_m)} returns where the gripper should be: expected at least {_FEWEST}, from a calibration good "
-            "to about 1 cm and an empty gripper in view"
-        )
-    T = np.eye(4)
-    for gate_m in (_ASTRAY_M, _ASTRAY_M / 3):
-        found = small_gicp.align(
-            surface_m,
-            seen_m,
-            T,
-            registration_type="GICP",
-            downsampling_resolution=0.002,
-            max_correspondence_distance=gate_m,
-            num_threads=1,
-        )
-        T = found.T_target_source
-    depth = replace(calibration.depth, T_world_camera=calibration.depth.T_world_camera @ T)
-    if calibration.color is None or empty.color is None:
-        return replace(calibration, depth=depth)
-    return Calibration(depth, _aimed(calibration.color, empty.color, empty.robot))
-
-
-def _aimed(mounted: MountedCamera, color: ColorImage, robot: trimesh.Trimesh) -> MountedCamera:
-    """The colour camera turned, without roll, to where the robot's outline lies on the strongest edges."""
-    camera = color.camera
-    outline = _outline(_robot_depth(robot, mounted, camera))
-    edges = sum(ndimage.gaussian_gradient_magnitude(color.rgb[..., i].astype(float), _BLUR_PX) for i in range(3))
-    rows, columns = np.nonzero(outline)
-    padded = np.pad(edges, _ASTRAY_PX)
-    shifts = np.arange(2 * _ASTRAY_PX + 1)
-    under = [[padded[rows + down, columns + right].sum() for right in shifts] for down in shifts]
-    down, right = np.unravel_index(np.argmax(ndimage.gaussian_filter(under, _BLUR_PX)), np.shape(under))
-    seen_x, seen_y = (right - _ASTRAY_PX) / camera.fx, (down - _ASTRAY_PX) / camera.fy
-    R_old_new = so3.exp(np.array([seen_y, -seen_x, 0.0]))
-    return replace(mounted, T_world_camera=mounted.T_world_camera @ transform(R_old_new, np.zeros(3)))
-
-
-def _outline(depth_m: Float[np.ndarray, "h w"]) -> Mask:
-    """The pixels next to others that are much farther, or nothing."""
-    far_m = np.where(depth_m > 0, depth_m, np.inf)
-    return (depth_m > 0) & (ndimage.maximum_filter(far_m, 3, mode="nearest") > far_m + _EDGE_M)
-
-
-def _expected_points(frame: Frame, mounted: MountedCamera) -> Float[np.ndarray, "n 3"]:
+def robot_points(frame: Frame, mounted: MountedCamera) -> Float[np.ndarray, "n 3"]:
     """What the depth camera must see of the robot, in camera axes; nothing where the robot is out of its view."""
-    depth_m = _expected_depth(frame, mounted)
+    depth_m = robot_depth(frame.robot, mounted, frame.depth.camera)
     return frame.depth.camera.rays()[depth_m > 0] * depth_m[depth_m > 0][:, None]
 
 
-def _expected_depth(frame: Frame, mounted: MountedCamera) -> Float[np.ndarray, "h w"]:
-    """The depth that the robot must have in the depth camera's image; 0 where it is not."""
-    return _robot_depth(frame.robot, mounted, frame.depth.camera)
-
-
-def _robot_depth(robot: trimesh.Trimesh, mounted: MountedCamera, camera: Camera) -> Float[np.ndarray, "h w"]:
-    """The same for any camera; ``camera``: the mounted one or a window of it."""
+def robot_depth(robot: trimesh.Trimesh, mounted: MountedCamera, camera: Camera) -> Float[np.ndarray, "h w"]:
+    """Exact depth of the robot alone, 0 elsewhere; ``camera``: the mounted one or a window of its image."""
     T = mounted.T_camera_world
     return Renderer(robot).depth(camera, T[:3, :3], Placement(1.0, moved(T, robot.bounds.mean(axis=0))))
 
@@ -305,6 +236,8 @@ def _gaps(frame: Frame, mask: Mask) -> Mask:
     """Pixels without return that a morphological closing by a disc adds to the object."""
     reach_px = _GAP_M * _px_per_m(frame, mask)
     near = _beside(frame, mask)[1] <= reach_px
+    if near.all():  # then nothing bounds the disc
+        return ~frame.depth.valid
     return (ndimage.distance_transform_edt(near) > reach_px) & ~frame.depth.valid
 
 
