@@ -63,7 +63,7 @@ def show_mask(image: DepthImage, mask: Bool[np.ndarray, "height width"], size_px
     Cropped to a square around the mask.
     """
     near_m, far_m = depth_range([image])
-    grey = np.where(image.valid, 170 - 120 * np.clip((image.depth_m - near_m) / (far_m - near_m), 0, 1), 0)
+    grey = np.where(image.valid, 170 - 120 * np.clip((image.depth_m - near_m) / max(far_m - near_m, 1e-9), 0, 1), 0)
     picture = np.repeat(grey[..., None], 3, axis=2)
     returned = mask & image.valid
     picture[returned] = picture[returned] / 2 + _RETURNED / 2
