@@ -3,7 +3,7 @@ import colorsys
 import numpy as np
 import pytest
 
-from reorient.colour import ColourRange, hsv_from_rgb
+from reorient.colour import ColourRange, ColourTable, hsv_from_rgb
 from reorient.errors import ReorientError
 
 
@@ -53,3 +53,22 @@ def test_limits_that_are_none_are_refused(limits):
 def test_too_few_pixels_are_refused():
     with pytest.raises(ReorientError, match="3 pixels to learn a colour from: expected at least"):
         ColourRange.learned(pixels(0.0, n=3))
+
+
+def test_a_table_tells_a_thing_of_two_colours_from_its_surroundings(rng):
+    thing = np.concatenate([pixels(20.0, rng=rng), pixels(220.0, rng=rng)])
+    table = ColourTable.learned(thing, pixels(120.0, n=2000, rng=rng))
+    assert table.contains(pixels(20.0, rng=rng)).mean() > 0.9
+    assert table.contains(pixels(220.0, rng=rng)).mean() > 0.9
+    assert not table.contains(pixels(120.0, rng=rng)).any()
+    assert not table.contains(pixels(300.0, rng=rng)).any()  # never seen
+
+
+def test_a_table_of_what_looks_like_its_surroundings_holds_little(rng):
+    table = ColourTable.learned(pixels(120.0, n=400, rng=rng), pixels(120.0, n=4000, rng=rng))
+    assert table.contains(pixels(120.0, rng=rng)).mean() < 0.2
+
+
+def test_with_nothing_around_a_table_holds_what_was_seen(rng):
+    table = ColourTable.learned(pixels(120.0, rng=rng), np.zeros((0, 3), np.uint8))
+    assert table.contains(pixels(120.0, rng=rng)).mean() > 0.9

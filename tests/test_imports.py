@@ -44,6 +44,7 @@ ROOMS = [
     "training",
     "export",
     "perception",
+    "recalibration",
     "stations.base",
     "stations",
     "recognition",

@@ -18,12 +18,13 @@ from reorient.perception import (
     ColorImage,
     Frame,
     align,
-    corrected,
     crop,
     isolate_object,
     learn_gripper_colour,
     object_mask,
+    object_returns,
 )
+from reorient.recalibration import corrected
 from reorient.rendering import Placement, Renderer
 
 DOWN = np.diag([1.0, -1.0, -1.0])
@@ -93,6 +94,88 @@ def test_the_gripper_is_removed_by_a_learned_colour():
     colour = learn_gripper_colour(empty, TRUE)
     assert colour.contains(np.array([GREY], np.uint8)).all()
     assert iou(object_mask(frame, TRUE, ByColour(colour)), truth) > 0.95
+
+
+def without(frame, lost):
+    """The frame with no returns there."""
+    return replace(frame, depth=replace(frame.depth, depth_m=np.where(lost, 0, frame.depth.depth_m)))
+
+
+def both_ways():
+    return ByShape(), ByColour(learn_gripper_colour(take(holds=False)[0], TRUE))
+
+
+def test_where_the_sensor_lost_the_object_the_mask_is_filled_and_the_depth_is_not(rng):
+    frame, truth = take()
+    _, columns = np.nonzero(truth)
+    band = np.zeros_like(truth)
+    band[:, columns.max() - 18 : columns.max() - 8] = True  # a shadow across it, and single pixels
+    frame = without(frame, truth & (band | (rng.random(truth.shape) < 0.1)))
+    for segmentation in both_ways():
+        returned = object_returns(frame, TRUE, segmentation)
+        mask = object_mask(frame, TRUE, segmentation)
+        assert not (returned & ~frame.depth.valid).any()
+        np.testing.assert_array_equal(mask & frame.depth.valid, returned)
+        assert iou(returned, truth) < 0.85
+        assert iou(mask, truth) > 0.95
+        image = isolate_object(frame, TRUE, segmentation)
+        assert np.isin(image.depth_m, [0, *frame.depth.depth_m[returned]]).all()
+
+
+def test_only_colour_finds_a_dark_side_and_neither_takes_lost_background_for_the_object():
+    frame, truth = take()
+    _, columns = np.nonzero(truth)
+    beside = np.zeros_like(truth)
+    beside[:, columns.max() - 5 :] = True  # the object's end, and the table beyond
+    frame = without(frame, beside)
+    by_shape, by_colour = both_ways()
+    shape, colour = object_mask(replace(frame, color=None), TRUE, by_shape), object_mask(frame, TRUE, by_colour)
+    np.testing.assert_array_equal(object_mask(frame, TRUE, by_shape) & truth & beside, colour & truth & beside)
+    assert (shape & beside & ~truth).sum() < 0.01 * truth.sum()
+    assert (colour & beside & ~truth).sum() < 0.06 * truth.sum()  # a pixel or two around it
+    assert (shape & beside & truth).sum() < 0.2 * (beside & truth).sum()
+    assert (colour & beside & truth).sum() > 0.6 * (beside & truth).sum()
+
+
+def test_what_the_gripper_hides_is_no_part_of_the_mask():
+    frame, truth = take()
+    _, _, owner = look(TRUE.depth, [TABLE, GRIPPER, OBJECT], [BROWN, GREY, GREEN])
+    mask = object_mask(without(frame, owner == 1), TRUE, ByShape())  # a black gripper returns nothing
+    assert (mask & (owner == 1)).sum() < 0.02 * truth.sum()
+    assert iou(mask, truth) > 0.93
+
+
+def test_parts_that_the_gripper_cuts_off_are_kept_and_specks_are_not():
+    frame, truth = take()
+    rows, columns = np.nonzero(truth)
+    depth_m, far = frame.depth.depth_m.copy(), columns > columns.max() - 8
+    cut = np.zeros_like(truth)
+    cut[:, columns.max() - 11 : columns.max() - 7] = True
+    end = np.zeros_like(truth)
+    end[rows[far], columns[far]] = True
+    depth_m[cut & truth] = 0.8  # the table shows between
+    speck = int(rows.min()) - 12, int(columns.mean())
+    depth_m[speck] = 0.6
+    mask = object_mask(replace(frame, depth=replace(frame.depth, depth_m=depth_m)), TRUE, ByShape())
+    assert mask[end].all()
+    assert not mask[speck]
+
+
+def test_a_colour_camera_astray_is_aimed_by_the_empty_gripper():
+    wrong = Calibration(TRUE.depth, astray(TRUE.color))
+    right = corrected(wrong, take(holds=False)[0])
+
+    def off_px(calibration):
+        at_m = [moved(mounted.T_camera_world, TOOL_M) for mounted in (calibration.color, TRUE.color)]
+        return float(np.linalg.norm(np.subtract(*(TRUE.color.camera.project(x) for x in at_m))))
+
+    assert off_px(wrong) > 2
+    assert off_px(right) < 0.5
+
+
+def test_a_colour_camera_that_sees_no_gripper_stays_as_it_was():
+    elsewhere = replace(TRUE.color, T_world_camera=transform(DOWN, TOOL_M + np.array([4.0, 0.0, 0.6])))
+    assert corrected(Calibration(TRUE.depth, elsewhere), take(holds=False)[0]).color is elsewhere
 
 
 def test_a_calibration_astray_is_put_right_by_the_empty_gripper():

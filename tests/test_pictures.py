@@ -9,7 +9,17 @@ from PIL import Image
 from reorient import so3
 from reorient.depth import Camera, DepthImage
 from reorient.errors import ReorientError
-from reorient.pictures import BACKGROUND, depth_range, framed, montage, png_data_uri, shade, shade_mesh, write_gif
+from reorient.pictures import (
+    BACKGROUND,
+    depth_range,
+    framed,
+    montage,
+    png_data_uri,
+    shade,
+    shade_mesh,
+    show_mask,
+    write_gif,
+)
 
 CAMERA = Camera(64, 64, 150.0, 150.0, 32.0, 32.0)
 
@@ -93,6 +103,20 @@ def test_depth_range_leaves_out_the_outermost_percent():
     image = plane((0, 0, -1), 0.5)
     image.depth_m[32, 32] = 3.0
     assert depth_range([image, plane((0, 0, -1), 0.6)]) == pytest.approx((0.5, 0.6))
+
+
+def test_a_mask_is_green_where_something_returned_and_orange_where_nothing_did():
+    depth_m = np.full((60, 80), 0.8, np.float32)
+    depth_m[20:40, 30:40], depth_m[20:40, 40:50] = 0.6, 0.0
+    mask = np.zeros(depth_m.shape, bool)
+    mask[20:40, 30:50] = True
+    image = DepthImage(depth_m, Camera(80, 60, 100.0, 100.0, 40.0, 30.0))
+    picture = np.asarray(show_mask(image, mask, 120), int)
+    assert picture.shape == (120, 120, 3)
+    left, right, corner = picture[60, 40], picture[60, 80], picture[3, 3]
+    assert left[1] > left[0] + 20
+    assert right[0] > right[1] > right[2] + 50
+    assert np.ptp(corner) == 0
 
 
 def test_montage_goes_row_by_row():

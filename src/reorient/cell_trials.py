@@ -229,20 +229,27 @@ def _turn_away(cell: Any, rng: Generator, low_rad: float, high_rad: float) -> Fl
 
 
 def _score_masks(cell: Any, image: str) -> dict[str, Any]:
-    """How well each segmentation tells the object: of the returns, and of all pixels whose ray hits the object."""
+    """How well each segmentation tells the object: its returns, and all pixels whose ray hits it.
+
+    By the gripper's shape once without colours, and once with them to fill in what did not return.
+    """
     frame = cell.frame(colour=True)
-    hit = cell.plant.shows_object()
+    hit, returned = cell.plant.shows_object(), frame.depth.valid
     row: dict[str, Any] = {
         "image": image,
         "pixels": int(hit.sum()),
-        "returned": f"{(hit & frame.depth.valid).sum() / hit.sum():.4f}",
+        "returned": f"{(hit & returned).sum() / hit.sum():.4f}",
     }
-    for name, segmentation in cell.segmentations.items():
+    by_shape = cell.segmentations["shape"]
+    ways = {"shape": (by_shape, replace(frame, color=None))}
+    if "colour" in cell.segmentations:
+        ways |= {"shape_coloured": (by_shape, frame), "colour": (cell.segmentations["colour"], frame)}
+    for name, (segmentation, seen) in ways.items():
         try:
-            mask = object_mask(frame, cell.calibration, segmentation)
+            mask = object_mask(seen, cell.calibration, segmentation)
         except ReorientError:
             mask = np.zeros_like(hit)
-        row[f"iou_{name}"] = f"{_iou(mask, hit & frame.depth.valid):.4f}"
+        row[f"iou_{name}"] = f"{_iou(mask & returned, hit & returned):.4f}"
         row[f"iou_{name}_all"] = f"{_iou(mask, hit):.4f}"
     return row
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
+from scipy import ndimage
 
 from reorient.errors import ReorientError
 
@@ -11,6 +12,9 @@ _FEWEST = 200  # pixels to learn a range from
 _SHARE = 0.95  # of the pixels that a learned range holds, in hue and in saturation
 _GREY = 0.15  # below this median saturation hue is noise, and any will do
 _MORE = 0.05  # a learned range reaches this much further in saturation
+_BINS = 16  # of a table of colours, in each of red, green, blue
+_CLEARLY = 3.0  # times as common in a thing as in what surrounds it is its own
+_RAREST = 0.01  # of the density of a thing's commonest colour: what is rarer is not its own
 
 
 def hsv_from_rgb(rgb: UInt8[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
@@ -68,6 +72,30 @@ class ColourRange:
         if np.median(saturation) < _GREY:
             return cls(saturation=(0.0, min(float(high) + _MORE, 1.0)))
         return cls(_shortest_arc(hue), (max(float(low) - _MORE, 0.0), min(float(high) + _MORE, 1.0)))
+
+
+@dataclass(frozen=True, eq=False)
+class ColourTable:
+    """The colours that are one thing's rather than those of what surrounds it."""
+
+    own: Bool[np.ndarray, "red green blue"]
+    """By bins of red, green and blue."""
+
+    @classmethod
+    def learned(cls, rgb: UInt8[np.ndarray, "n 3"], others: UInt8[np.ndarray, "m 3"]) -> "ColourTable":
+        """From pixels of the thing and of what surrounds it; light and shade between those seen count as well."""
+        density, other_density = (_density(pixels) for pixels in (rgb, others))
+        return cls((density > _CLEARLY * other_density) & (density > _RAREST * density.max()))
+
+    def contains(self, rgb: UInt8[np.ndarray, "*n 3"]) -> Bool[np.ndarray, "*n"]:
+        """Which colours are the thing's."""
+        return self.own[tuple(np.moveaxis(rgb // (256 // _BINS), -1, 0))]
+
+
+def _density(rgb: UInt8[np.ndarray, "n 3"]) -> Float[np.ndarray, "red green blue"]:
+    """A smoothed histogram; all zero for no pixels."""
+    counts, _ = np.histogramdd(rgb, bins=_BINS, range=[(0, 256)] * 3)
+    return ndimage.gaussian_filter(counts / max(len(rgb), 1), 1.0, mode="constant")
 
 
 def _shortest_arc(hue_deg: Float[np.ndarray, " n"]) -> tuple[float, float]:

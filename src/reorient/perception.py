@@ -1,33 +1,33 @@
 """From the frames of a cell to the isolated object (paper, "Controller Experiments on Physical Objects").
 
 Colour aligned into the depth camera, points in world axes, a box around the gripper, then the gripper removed, by its
-colour as in the paper or, better, by its known shape at its measured pose; the rest cropped to 128 x 128. Nothing in
-here knows whether the cell is real.
+colour as in the paper or, better, by its known shape at its measured pose; the rest cropped to 128 x 128. Where the
+sensor returned nothing the object's outline is filled in, as a mask beside the depth, which stays what was returned.
+Nothing in here knows whether the cell is real.
 """
 
 from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-import small_gicp
 import trimesh
 from jaxtyping import Bool, Float, UInt8
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from reorient.calibration import Calibration, MountedCamera, moved
-from reorient.colour import ColourRange
+from reorient.colour import ColourRange, ColourTable
 from reorient.depth import Camera, DepthImage
 from reorient.errors import ReorientError
 from reorient.rendering import Placement, Renderer
 
 CROP_PX, SIZE_PX = 256, 128  # the paper's window, at least, and what it is resized to
 _MARGIN = 1.1  # of the window, where the object is larger than that
-_SPECK = 0.05  # a connected part smaller than this share of the largest is no part of the object
+_SPECK = 0.01  # a connected part smaller than this share of the largest is no part of the object
 _BLUR_PX = 1.0  # over which colours are smoothed
 _HIDDEN_M = 0.01  # a point this much behind what the colour camera sees there is hidden from it
-_FEWEST = 200  # returns from the gripper to correct a calibration with
-_ASTRAY_M = 0.012  # how far off a calibration may be that one frame corrects
+_GAP_M = 0.02  # missing returns this near to the object on both sides are the object's
+_NEARBY_M = 0.04  # and those that have its colour, within this
 
 Mask = Bool[np.ndarray, "height width"]
 
@@ -61,6 +61,10 @@ class Segmentation(Protocol):
         """Which of the returns inside the box are the object's."""
         ...
 
+    def fill(self, frame: Frame, calibration: Calibration, mask: Mask) -> Mask:
+        """Which pixels without return are the object's as well, given those that returned."""
+        ...
+
 
 @dataclass(frozen=True)
 class ByShape:
@@ -72,10 +76,18 @@ class ByShape:
     def keep(self, frame: Frame, calibration: Calibration, inside: Mask) -> Mask:
         """Returns farther than the margin from what the depth camera must see of the robot."""
         kept = inside.copy()
-        surface_m = _expected_points(frame, calibration.depth)
+        surface_m = robot_points(frame, calibration.depth)
         points_m = frame.depth.camera.rays()[inside] * frame.depth.depth_m[inside][:, None]
         kept[inside] = np.isinf(cKDTree(surface_m).query(points_m, distance_upper_bound=self.margin_m)[0])
         return kept
+
+    def fill(self, frame: Frame, calibration: Calibration, mask: Mask) -> Mask:
+        """As ``ByColour`` where the frame has colours, else gaps; never where the robot stands before the object."""
+        beside_m, _ = _beside(frame, mask)
+        robot_m = robot_depth(frame.robot, calibration.depth, frame.depth.camera)
+        before = (robot_m > 0) & (robot_m < beside_m + self.margin_m)
+        coloured = frame.color is not None and calibration.color is not None
+        return (_alike(frame, calibration, mask) if coloured else _gaps(frame, mask)) & ~before
 
 
 @dataclass(frozen=True)
@@ -94,13 +106,17 @@ class ByColour:
         nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
         return is_object[tuple(nearest)] & inside
 
+    def fill(self, frame: Frame, calibration: Calibration, mask: Mask) -> Mask:
+        """What has the colour of the object that was found, not of what surrounds it."""
+        return _alike(frame, calibration, mask)
+
 
 @dataclass(frozen=True)
 class Box:
     """The part of the world around the tool centre where the object can be."""
 
-    half_m: tuple[float, float, float] = (0.11, 0.11, 0.11)
-    """Half extents along the world's axes."""
+    half_m: tuple[float, float, float] = (0.14, 0.14, 0.14)
+    """Half extents along the world's axes: an object of 65 mm radius may be held by its end."""
 
     def inside(self, frame: Frame, calibration: Calibration) -> Mask:
         """Which returns lie in it."""
@@ -117,11 +133,17 @@ def isolate_object(
     frame: Frame, calibration: Calibration, segmentation: Segmentation, box: Box | None = None
 ) -> DepthImage:
     """The object alone, 128 x 128. Raises ReorientError where none of it is left."""
-    mask = object_mask(frame, calibration, segmentation, box)
+    mask = object_returns(frame, calibration, segmentation, box)
     return crop(replace(frame.depth, depth_m=np.where(mask, frame.depth.depth_m, np.float32(0))))
 
 
 def object_mask(frame: Frame, calibration: Calibration, segmentation: Segmentation, box: Box | None = None) -> Mask:
+    """All pixels that show the object, returned by the sensor or not. Raises ReorientError where none did."""
+    returned = object_returns(frame, calibration, segmentation, box)
+    return returned | segmentation.fill(frame, calibration, returned)
+
+
+def object_returns(frame: Frame, calibration: Calibration, segmentation: Segmentation, box: Box | None = None) -> Mask:
     """The returns that are the object's. Raises ReorientError where there are none."""
     inside = (box or Box()).inside(frame, calibration)
     if not inside.any():
@@ -170,7 +192,7 @@ def align(frame: Frame, calibration: Calibration) -> tuple[UInt8[np.ndarray, "h 
     return aligned, known
 
 
-# --- learning from the empty gripper --------------------------------------------------------------------------------
+# --- the robot, known beforehand ------------------------------------------------------------------------------------
 
 
 def learn_gripper_colour(empty: Frame, calibration: Calibration, box: Box | None = None) -> ColourRange:
@@ -179,43 +201,55 @@ def learn_gripper_colour(empty: Frame, calibration: Calibration, box: Box | None
     return ColourRange.learned(rgb[known & (box or Box()).inside(empty, calibration)])
 
 
-def corrected(calibration: Calibration, empty: Frame, reach_m: float = 0.2) -> Calibration:
-    """The depth camera's place, put right by laying one frame of the empty gripper onto what it must look like.
-
-    ``reach_m``: half extent of the box around the tool centre that is compared. Raises ReorientError where gripper and
-    returns are apart.
-    """
-    inside = Box((reach_m,) * 3).inside(empty, calibration)
-    seen_m = empty.depth.camera.rays()[inside] * empty.depth.depth_m[inside][:, None]
-    surface_m = _expected_points(empty, calibration.depth)
-    distance_m = cKDTree(surface_m).query(seen_m, distance_upper_bound=_ASTRAY_M)[0]
-    seen_m = seen_m[np.isfinite(distance_m)]
-    if len(seen_m) < _FEWEST:
-        raise ReorientError(
-            f"{len(seen_m)} returns where the gripper should be: expected at least {_FEWEST}, from a calibration good "
-            "to about 1 cm and an empty gripper in view"
-        )
-    T = np.eye(4)
-    for gate_m in (_ASTRAY_M, _ASTRAY_M / 3):
-        found = small_gicp.align(
-            surface_m,
-            seen_m,
-            T,
-            registration_type="GICP",
-            downsampling_resolution=0.002,
-            max_correspondence_distance=gate_m,
-            num_threads=1,
-        )
-        T = found.T_target_source
-    return replace(calibration, depth=replace(calibration.depth, T_world_camera=calibration.depth.T_world_camera @ T))
-
-
-def _expected_points(frame: Frame, mounted: MountedCamera) -> Float[np.ndarray, "n 3"]:
+def robot_points(frame: Frame, mounted: MountedCamera) -> Float[np.ndarray, "n 3"]:
     """What the depth camera must see of the robot, in camera axes; nothing where the robot is out of its view."""
-    T = mounted.T_camera_world
-    center_m = frame.robot.bounds.mean(axis=0)
-    depth_m = Renderer(frame.robot).depth(frame.depth.camera, T[:3, :3], Placement(1.0, moved(T, center_m)))
+    depth_m = robot_depth(frame.robot, mounted, frame.depth.camera)
     return frame.depth.camera.rays()[depth_m > 0] * depth_m[depth_m > 0][:, None]
+
+
+def robot_depth(robot: trimesh.Trimesh, mounted: MountedCamera, camera: Camera) -> Float[np.ndarray, "h w"]:
+    """Exact depth of the robot alone, 0 elsewhere; ``camera``: the mounted one or a window of its image."""
+    T = mounted.T_camera_world
+    return Renderer(robot).depth(camera, T[:3, :3], Placement(1.0, moved(T, robot.bounds.mean(axis=0))))
+
+
+# --- where the sensor returned nothing ------------------------------------------------------------------------------
+
+
+def _alike(frame: Frame, calibration: Calibration, mask: Mask) -> Mask:
+    """Nearby pixels without return of the object's colour, its own and no other's; gaps where no colour is known.
+
+    To find a pixel in the colour image it is taken to be as deep as the object beside it.
+    """
+    beside_m, distance_px = _beside(frame, mask)
+    missing = ~frame.depth.valid & (distance_px <= _NEARBY_M * _px_per_m(frame, mask))
+    supposed_m = np.where(missing, beside_m, frame.depth.depth_m)
+    rgb, known = align(replace(frame, depth=replace(frame.depth, depth_m=supposed_m)), calibration)
+    others = known & frame.depth.valid & ~mask
+    looks = ColourTable.learned(rgb[mask & known], rgb[others]).contains(rgb)
+    found = missing & np.where(known, looks, _gaps(frame, mask))
+    labels, _ = ndimage.label(found | mask, np.ones((3, 3)))
+    return found & np.isin(labels, np.unique(labels[mask]))
+
+
+def _gaps(frame: Frame, mask: Mask) -> Mask:
+    """Pixels without return that a morphological closing by a disc adds to the object."""
+    reach_px = _GAP_M * _px_per_m(frame, mask)
+    near = _beside(frame, mask)[1] <= reach_px
+    if near.all():  # then nothing bounds the disc
+        return ~frame.depth.valid
+    return (ndimage.distance_transform_edt(near) > reach_px) & ~frame.depth.valid
+
+
+def _beside(frame: Frame, mask: Mask) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+    """For each pixel the depth of the object's nearest return, and how many pixels away that is."""
+    distance_px, nearest = ndimage.distance_transform_edt(~mask, return_indices=True)
+    return frame.depth.depth_m[tuple(nearest)], distance_px
+
+
+def _px_per_m(frame: Frame, mask: Mask) -> float:
+    """How large a metre looks at the object."""
+    return frame.depth.camera.fx / float(np.median(frame.depth.depth_m[mask]))
 
 
 def _extent(mask: Mask) -> tuple[slice, slice]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from PIL import Image, ImageDraw, ImageFont
 from scipy import ndimage
 
@@ -26,6 +26,7 @@ _TINTS = np.array([(255, 226, 178), (244, 176, 132), (196, 132, 150), (112, 118,
 _KEY, _FILL = (np.array(v) / np.linalg.norm(v) for v in ([-0.55, -0.75, -0.75], [0.9, 0.15, -0.5]))
 _OUTLINE_PX = 0.6  # still keeps bars one pixel wide
 _COLOURS = 128  # of a GIF
+_RETURNED, _FILLED = np.array([80, 200, 120]), np.array([250, 170, 30])
 
 
 def shade(image: DepthImage, size_px: int = 256, range_m: tuple[float, float] | None = None) -> Image.Image:
@@ -54,6 +55,24 @@ def shade(image: DepthImage, size_px: int = 256, range_m: tuple[float, float] | 
     picture = Image.new("RGB", (size_px, size_px), BACKGROUND)
     picture.paste(object_rgb, ((size_px - size[0]) // 2, (size_px - size[1]) // 2), cover)
     return picture
+
+
+def show_mask(image: DepthImage, mask: Bool[np.ndarray, "height width"], size_px: int = 256) -> Image.Image:
+    """A scene, the nearer the brighter, with the mask on it: green where there is a return, orange where there is none.
+
+    Cropped to a square around the mask.
+    """
+    near_m, far_m = depth_range([image])
+    grey = np.where(image.valid, 170 - 120 * np.clip((image.depth_m - near_m) / max(far_m - near_m, 1e-9), 0, 1), 0)
+    picture = np.repeat(grey[..., None], 3, axis=2)
+    returned = mask & image.valid
+    picture[returned] = picture[returned] / 2 + _RETURNED / 2
+    picture[mask & ~image.valid] = _FILLED
+    rows, columns = np.nonzero(mask)
+    half = 0.6 * max(np.ptp(rows), np.ptp(columns)) + 1
+    middle = (columns.min() + columns.max()) / 2, (rows.min() + rows.max()) / 2
+    box = tuple(round(x) for x in (middle[0] - half, middle[1] - half, middle[0] + half, middle[1] + half))
+    return Image.fromarray(picture.astype(np.uint8)).crop(box).resize((size_px, size_px), Image.Resampling.NEAREST)
 
 
 def shade_mesh(

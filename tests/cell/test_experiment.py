@@ -29,6 +29,7 @@ def test_rows_masks_page_and_animation(folder):
     assert (loop.system, loop.moves) == ("gicp/direct", len(loop.errors_deg) - 2)
     page = (folder / "report.html").read_text()
     assert "gicp/direct" in page
+    assert "the object in the last image, by each segmentation" in page
     assert 'src="http' not in page
 
 

@@ -2,10 +2,12 @@
 
 import base64
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from html import escape
 from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -16,7 +18,8 @@ from reorient.cell_trials import Experiment, close_loop, stage
 from reorient.errors import ReorientError
 from reorient.experiment import COLUMNS, END
 from reorient.files import replacing
-from reorient.pictures import depth_range, montage, png_data_uri, shade, write_gif
+from reorient.perception import object_mask
+from reorient.pictures import depth_range, montage, png_data_uri, shade, show_mask, write_gif
 from reorient.reporting.figures import error_by_image, errors_by_object, growing_curve
 from reorient.reporting.page import inline_image, page
 from reorient.reporting.rows import read_table, wilson
@@ -25,6 +28,15 @@ PAPER_DEG = 4.2  # median of the paper's 50 physical trials
 _PAPER = "paper's physical cell, 4.2° (other objects)"
 _PANEL_PX, _FRAME_MS, _LAST_FRAME_MS = 300, 220, 2500
 _SHOWN = 6  # images of the showcase
+_WAYS = {
+    "shape": "by the gripper's shape",
+    "shape_coloured": "by the gripper's shape, filled in by the object's colour",
+    "colour": "by the gripper's colour (HSV), filled in by the object's",
+}
+_MASKS = (
+    "The object in the last image of that loop, as each segmentation tells it: green where the depth camera returned "
+    "something, orange where it did not; black: no return that is taken for the object's."
+)
 
 
 @dataclass(frozen=True)
@@ -108,7 +120,7 @@ def mask_summary(folder: Path) -> list[str]:
         else []
     )
     said = []
-    for name, words in (("shape", "by the gripper's shape"), ("colour", "by its colour (HSV)")):
+    for name, words in _WAYS.items():
         column = f"iou_{name}"
         values = np.array([float(row[column]) for row in rows if row.get(column)])
         every = np.array([float(row[f"{column}_all"]) for row in rows if row.get(column)])
@@ -116,7 +128,8 @@ def mask_summary(folder: Path) -> list[str]:
             said.append(
                 f"Masks {words}: IoU median {np.median(values):.3f}, p10 {np.percentile(values, 10):.3f} over the "
                 f"{len(values)} goal and start images, of the pixels that returned and whose ray hits the object; "
-                f"of all pixels whose ray hits it, returned by the sensor or not, median {np.median(every):.3f}."
+                f"of all pixels whose ray hits it, returned by the sensor or not, median {np.median(every):.3f}, "
+                f"p10 {np.percentile(every, 10):.3f}."
             )
     return said
 
@@ -164,7 +177,7 @@ def write_cell_report(config: Experiment, folder: Path) -> tuple[Path, Path]:
     # of the first trial the system with most moves, which shows most
     first = [loop for loop in staged if (loop.object, loop.trial, loop.range_deg) == _trial(staged[0])]
     shown = max(first, key=lambda loop: loop.moves)
-    gif, images = _show(config, shown, folder)
+    gif, images, masks = _show(config, shown, folder)
     notes = "".join(f'<p class="note">{escape(x)}</p>' for x in [*mask_summary(folder), *_not_staged(loops)])
     animation = "data:image/gif;base64," + base64.b64encode(gif.read_bytes()).decode()
     sections = {
@@ -174,6 +187,9 @@ def write_cell_report(config: Experiment, folder: Path) -> tuple[Path, Path]:
             errors_by_object(by_object, short, PAPER_DEG, _PAPER), "the last error of each trial, by object"
         ),
         "Images at intermediate iterations": inline_image(images, "goal and images of one loop", dark=True),
+        "Masks": inline_image(masks, "the object in the last image, by each segmentation", _MASKS, dark=True)
+        if masks
+        else "<p>The object is not to be seen at the end of that loop.</p>",
         "The arm": inline_image(animation, "the arm turns the object to its goal", _caption(shown), dark=True),
     }
     html = folder / "report.html"
@@ -188,8 +204,8 @@ def write_cell_report(config: Experiment, folder: Path) -> tuple[Path, Path]:
     return html, gif
 
 
-def _show(config: Experiment, loop: Loop, folder: Path) -> tuple[Path, str]:
-    """Run a loop again; its animation, and a row of its images as a data URI."""
+def _show(config: Experiment, loop: Loop, folder: Path) -> tuple[Path, str, str]:
+    """Run a loop again; its animation, and as data URIs a row of its images and the masks after its end."""
     from reorient.stations.cell.scene import observer
 
     staged = stage(config, loop.object, loop.trial, loop.range_deg)
@@ -214,7 +230,19 @@ def _show(config: Experiment, loop: Loop, folder: Path) -> tuple[Path, str]:
     write_gif(gif, frames, _FRAME_MS, _LAST_FRAME_MS)
     at = np.unique(np.linspace(0, len(seen) - 1, _SHOWN).round().astype(int))
     labels = ["goal", *(f"image {i + 1}: {errors_deg[i]:.1f}°" for i in at)]
-    return gif, png_data_uri(montage([goal, *(seen[i] for i in at)], len(labels), labels))
+    strip = montage([goal, *(seen[i] for i in at)], len(labels), labels)
+    return gif, png_data_uri(strip), _masks(staged.cell)
+
+
+def _masks(cell: Any) -> str:
+    """The object as each segmentation tells it now, as a data URI; empty where none finds it."""
+    frame = cell.frame(colour="colour" in cell.segmentations)
+    pictures = {}
+    for name, segmentation in cell.segmentations.items():
+        with suppress(ReorientError):
+            mask = object_mask(frame, cell.calibration, segmentation)
+            pictures[f"by {name}"] = show_mask(frame.depth, mask, _PANEL_PX)
+    return png_data_uri(montage([*pictures.values()], len(pictures), [*pictures])) if pictures else ""
 
 
 def _trial(loop: Loop) -> tuple[str, int, tuple[float, float]]:

@@ -16,10 +16,10 @@ from reorient.perception import (
     ByShape,
     Frame,
     Segmentation,
-    corrected,
     isolate_object,
     learn_gripper_colour,
 )
+from reorient.recalibration import corrected
 from reorient.stations.cell.arm import merged, turned
 from reorient.stations.cell.plant import Plant, PlantConfig
 
