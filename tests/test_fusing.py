@@ -217,8 +217,70 @@ def test_what_keeps_failing_ends_the_loop_with_the_record_kept(mesh, kind):
     result = orient(faulty, goal, Oracle(station, R_goal), Fusing(), limits=NOW)
     assert not result.converged
     assert result.reason == result.faults[-1]
-    assert len(result.faults) == Fusing().patience + 1
     assert result.steps
+    again = kind == "gone"  # seen from where it was before the move, too
+    assert len(result.faults) == (Fusing().patience + 1) * (1 + again) + again
+    assert left_deg(station, R_goal) == pytest.approx(60)
+
+
+class Hiding:
+    """A station on which the object cannot be seen near one orientation."""
+
+    def __init__(self, station, R_hidden, turns_back=True):
+        self.station, self.R_hidden, self.turns_back = station, R_hidden, turns_back
+        self.pivot_m = station.pivot_m
+
+    def hides(self):
+        return float(so3.angle_difference(self.station.R_camera_object, self.R_hidden)) < np.radians(20)
+
+    def capture(self):
+        if self.hides():
+            raise StationError("no object in view")
+        return self.station.capture()
+
+    def rotate(self, R_step):
+        if self.hides() and not self.turns_back:
+            raise StationError("refused to move")
+        return self.station.rotate(R_step)
+
+
+class Torn(Oracle):
+    """Thinks another orientation, half a turn from the goal's, a little likelier than the goal's."""
+
+    def estimate(self, current, goal, pivot_m=None, history=()):
+        estimate = super().estimate(current, goal, pivot_m, history)
+        R = estimate.R_goal_current
+        flipped = so3.exp(np.array([np.pi, 0, 0])) @ R
+        return replace(estimate, R_goal_current=flipped, confidence=0.55, alternatives=((R, 0.4),))
+
+
+def test_a_move_that_hides_the_object_is_taken_back_and_the_next_candidate_tried(mesh):
+    station, goal, R_goal = cell(mesh, 80.0)
+    hiding = Hiding(station, so3.exp(np.array([np.pi, 0, 0])) @ R_goal)
+    result = orient(hiding, goal, Torn(station, R_goal), Fusing(), limits=NOW)
+    assert left_deg(station, R_goal) < 1e-3
+    undone = [step for step in result.steps if step.undone]
+    assert len(undone) == 1  # never tried again
+    assert float(so3.angle(undone[0].R_executed)) < 1e-6
+    assert result.moves == sum(step.R_step is not None for step in result.steps) + 1
+    assert any("it was taken back" in fault for fault in result.faults)
+
+
+@pytest.mark.parametrize(
+    ("strategy", "limits", "turns_back"),
+    [
+        (Fusing(), NOW, False),
+        (Fusing(), Limits(largest_total_rad=np.radians(300), wait_s=0.0), True),
+        (Proportional(eta=1.0, patience=3), NOW, True),
+    ],
+)
+def test_a_move_that_cannot_be_taken_back_ends_the_loop(mesh, strategy, limits, turns_back):
+    station, goal, R_goal = cell(mesh, 80.0)
+    hiding = Hiding(station, so3.exp(np.array([np.pi, 0, 0])) @ R_goal, turns_back)
+    result = orient(hiding, goal, Torn(station, R_goal), strategy, limits=limits)
+    assert hiding.hides()
+    assert not result.converged
+    assert "no object in view" in result.reason
 
 
 def test_an_estimator_that_fails_is_asked_again_with_another_image(mesh):
@@ -450,7 +512,9 @@ def test_a_strategy_that_fails_ends_the_loop_with_the_record_kept(mesh, unchecke
     assert (len(result.steps), result.moves, result.converged) == (2, 1, False)
     assert result.reason == "the strategy failed: IndexError: pop from empty list"
     for wrong in ("fusing", Fusing, object()):
-        with pytest.raises(ReorientError, match="expected an object with max_steps, patience, recalled, decide"):
+        with pytest.raises(
+            ReorientError, match="expected an object with max_steps, patience, takes_back, recalled, decide"
+        ):
             orient(station, goal, Oracle(station, R_goal), wrong)
 
 

@@ -11,6 +11,7 @@ candidates, as most false arrivals are half turns of nearly symmetric objects.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import erfc, sqrt
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -19,6 +20,7 @@ from reorient import so3
 from reorient.controller.base import Decision, Reachable, Step, known_part, rotations_since
 from reorient.controller.memory import (
     NEAR_RAD,
+    SAME_RAD,
     Candidate,
     Stand,
     arrival_log_odds,
@@ -59,6 +61,7 @@ class Fusing:
     """Done when the averaged prediction is at most this, or not clearly above its own standard error."""
     patience: int = 3
     """How many failures in a row it bears."""
+    takes_back: ClassVar[bool] = True
     memory: bool = False
     """Whether the estimator is given earlier captures, too."""
 
@@ -78,8 +81,8 @@ class Fusing:
         """Examine an arrival, go on to the likeliest candidate, see a rival, make the last small move, or end."""
         known = known_part(steps)
         seen = stands(known, goal)
-        found = candidates(seen)
-        moves_left = self.most_moves - sum(step.R_step is not None for step in steps)
+        found = [x for x in candidates(seen) if not _hides(x, known)]
+        moves_left = self.most_moves - sum((step.R_step is not None) + step.undone for step in steps)
         looks_left = self.max_steps - len(steps)
         here = _here(found, seen[-1])
         looks = len(seen[-1].images)
@@ -123,9 +126,19 @@ def _within(left_rad: float) -> float:
     return 0.5 * erfc((left_rad - RIGHT_RAD) / ERR_RAD / sqrt(2))
 
 
+def _hides(candidate: Candidate, known: Sequence[Step]) -> bool:
+    """Whether a move to it was taken back, as nothing could be seen there."""
+    return any(
+        step.undone
+        and step.R_step is not None
+        and float(so3.angle_difference(candidate.R_goal_now @ R_now_then, step.R_step)) <= SAME_RAD
+        for step, R_now_then in zip(known, rotations_since(known), strict=True)
+    )
+
+
 def _here(found: Sequence[Candidate], stand: Stand) -> Candidate | None:
     """The candidate that the present pose stands for, if an estimate names it from here."""
-    if min(nearest(estimate, np.eye(3))[1] for estimate in stand.estimates) > NEAR_RAD:
+    if not found or min(nearest(estimate, np.eye(3))[1] for estimate in stand.estimates) > NEAR_RAD:
         return None
     return min(found, key=lambda candidate: candidate.angle_rad)
 
