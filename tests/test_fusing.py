@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
 from reorient import Fusing, Limits, Proportional, StationError, load_estimator, orient, so3
 from reorient.controller.base import Step
@@ -12,7 +13,7 @@ from reorient.controller.memory import average, candidates, stands
 from reorient.errors import ReorientError
 from reorient.estimators.base import RotationEstimate
 from reorient.estimators.evidence import Evidence
-from reorient.recognition import likeness, upright_axes
+from reorient.recognition import half_turns, likeness, upright_axes
 from reorient.rendering import load_world
 from reorient.sensing import randomised
 from reorient.stations.faulty import FaultyStation
@@ -120,10 +121,33 @@ def test_likeness_tells_the_pose_from_another(mesh):
         assert (likeness(captures, goal, [still, still]) > 0) == right
 
 
-def test_upright_axes_of_a_box_are_its_own():
-    import trimesh
+BOX = trimesh.creation.box((1, 0.7, 0.5))
 
-    station = RenderedStation(trimesh.creation.box((1, 0.7, 0.5)), WORLD, randomised(), np.random.default_rng(2))
+
+def test_half_turns_are_judged_by_what_the_captures_show(mesh):
+    """Of a box one or more lose next to nothing; of another body all do."""
+    for body, alike in ((BOX, True), (mesh, False)):
+        station, goal, R_goal = cell(body, seed=3, noise_m=0.001)
+        before, R_before = station.capture(), station.R_camera_object
+        station.R_camera_object = R_goal
+        turns = half_turns(station.capture(), goal, [(before, R_goal @ R_before.T)])
+        assert len(turns) == 3
+        assert (min(loss for _, loss in turns) < 0.1) == alike
+
+
+def test_where_two_orientations_match_equally_that_is_announced():
+    station, goal, R_goal = cell(BOX, 170.0, seed=3, noise_m=0.001)
+    facing = R_goal[:, np.argmax(np.abs(R_goal[2]))]
+    flip = so3.exp(np.pi * facing)  # a symmetry of the box, and one that its views leave open
+    result = orient(station, goal, Oracle(station, R_goal, flip=flip), Fusing(), limits=NOW)
+    assert min(left_deg(station, R_goal), left_deg(station, flip @ R_goal)) < 3
+    assert not result.converged
+    assert result.confidence < 0.5
+    assert "another orientation matches as well" in result.reason
+
+
+def test_upright_axes_of_a_box_are_its_own():
+    station = RenderedStation(BOX, WORLD, randomised(), np.random.default_rng(2))
     axes = upright_axes(station.capture_goal())
     np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-6)
     assert np.abs(axes @ station.R_camera_object).max(axis=1).min() > np.cos(np.radians(3))
