@@ -39,13 +39,12 @@ MOST_LOOKS = 6  # captures of the last place
 STEADY_RAD = float(np.radians(0.09))  # the average's standard error that needs no more looks
 CLEARLY = 1.5  # standard errors
 EQUIVALENT = 0.9  # log odds below the likeliest candidate's: as good, and taken if nearer
-BETTER = 0.5  # log odds by which an examined pose must beat the present one to be returned to
-TIE = 2.0  # log odds between two examined poses that noise can make: not clearly more than even odds
+TIE = 2.0  # log odds by which an examined pose must beat another: less is noise, and no better than even odds
 SURE_FROM_AFAR = 0.95  # what a view from elsewhere gives, so that no rival need be seen
 SURE_HERE = 0.985  # what the arrival itself gives, to the same end
 MATCHES = 5.5  # log odds of an arrival, to the same end: more than false ones had
 NAMED = 0.2  # what makes an alternative a rival
-ALIKE = 0.3  # agreement that a half turn may lose and still be one: of those that false arrivals lacked, none lost more
+ALIKE = 0.3  # agreement that a half turn may lose and still be one: those from false arrivals to the goal lost 0.26
 HARDLY_ALIKE = 0.6  # the same for an arrival in doubt
 RESERVED = 3  # moves kept for the way back to the best and the last small ones
 RIGHT_RAD = float(np.radians(5))  # what a confidence is about
@@ -97,7 +96,7 @@ class Fusing:
         choice = [x for x in found if x is here or x.angle_rad > NEAR_RAD]
         if last:  # no more experiments: of the poses that were examined the best, if there is one
             choice = [x for x in choice if x.examined] or [x for x in choice if not x.guessed]
-        best = _best(choice, here, reachable) if choice else None
+        best = _nearest_of_the_best(choice, reachable) if choice else None
         rival = _rival(best, found, seen, reachable) if best is not None and not last else None
         if rival is not None:
             turn = f"{np.degrees(rival.angle_rad):.0f} degrees"
@@ -174,16 +173,14 @@ def _approach(best: Candidate | None, moves_left: int) -> Decision:
     return Decision(f"{why}: turns by {turn}", best.R_goal_now)
 
 
-def _best(found: Sequence[Candidate], here: Candidate | None, reachable: Reachable) -> Candidate:
-    """The likeliest candidate. Of examined ones the present, unless another is clearly better; of others that are about
-    as likely the nearest to the start that can be reached."""
+def _nearest_of_the_best(found: Sequence[Candidate], reachable: Reachable) -> Candidate:
+    """Of the candidates that are about as likely as the likeliest, the nearest to the start that can be reached."""
     top = found[0]
-    if here is not None and here.examined and top.examined and top.log_weight - here.log_weight < BETTER:
-        return here
-    if top.examined:
-        return top
     good = [
-        x for x in found if top.log_weight - x.log_weight < EQUIVALENT and top.from_views - x.from_views < EQUIVALENT
+        x
+        for x in found
+        if (x.examined and top.log_weight - x.log_weight < TIE)
+        or (top.log_weight - x.log_weight < EQUIVALENT and top.from_views - x.from_views < EQUIVALENT)
     ]
     good.sort(key=lambda candidate: candidate.from_start_rad)
     return next((x for x in good if x.angle_rad <= NEAR_RAD or reachable(x.R_goal_now)), good[0])
