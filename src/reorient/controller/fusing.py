@@ -39,6 +39,8 @@ MOST_LOOKS = 6  # captures of the last place
 STEADY_RAD = float(np.radians(0.09))  # the average's standard error that needs no more looks
 CLEARLY = 1.5  # standard errors
 EQUIVALENT = 0.9  # log odds below the likeliest candidate's: as good, and taken if nearer
+BETTER = 0.5  # log odds by which an examined pose must beat the present one to be returned to
+SMALL_RAD = float(np.radians(60))  # between start and goal; of uniform starts one in 17 is so near
 TIE = 2.0  # log odds by which an examined pose must beat another: less is noise, and no better than even odds
 SURE_FROM_AFAR = 0.95  # what a view from elsewhere gives, so that no rival need be seen
 SURE_HERE = 0.985  # what the arrival itself gives, to the same end
@@ -96,7 +98,7 @@ class Fusing:
         choice = [x for x in found if x is here or x.angle_rad > NEAR_RAD]
         if last:  # no more experiments: of the poses that were examined the best, if there is one
             choice = [x for x in choice if x.examined] or [x for x in choice if not x.guessed]
-        best = _nearest_of_the_best(choice, reachable) if choice else None
+        best = _best(choice, here, reachable) if choice else None
         rival = _rival(best, found, seen, reachable) if best is not None and not last else None
         if rival is not None:
             turn = f"{np.degrees(rival.angle_rad):.0f} degrees"
@@ -173,14 +175,19 @@ def _approach(best: Candidate | None, moves_left: int) -> Decision:
     return Decision(f"{why}: turns by {turn}", best.R_goal_now)
 
 
-def _nearest_of_the_best(found: Sequence[Candidate], reachable: Reachable) -> Candidate:
-    """Of the candidates that are about as likely as the likeliest, the nearest to the start that can be reached."""
+def _best(found: Sequence[Candidate], here: Candidate | None, reachable: Reachable) -> Candidate:
+    """The likeliest candidate. Of examined ones that noise cannot tell apart one near the start, as most turns that are
+    asked for are small, or else the present, unless another is a little better. Of others that are about as likely the
+    nearest to the start that can be reached."""
     top = found[0]
+    tied = [x for x in found if x.examined and top.log_weight - x.log_weight < TIE]
+    near = [x for x in tied if x.from_start_rad <= SMALL_RAD]
+    if near:
+        return min(near, key=lambda candidate: candidate.from_start_rad)
+    if top.examined:
+        return here if here in tied and top.log_weight - here.log_weight < BETTER else top
     good = [
-        x
-        for x in found
-        if (x.examined and top.log_weight - x.log_weight < TIE)
-        or (top.log_weight - x.log_weight < EQUIVALENT and top.from_views - x.from_views < EQUIVALENT)
+        x for x in found if top.log_weight - x.log_weight < EQUIVALENT and top.from_views - x.from_views < EQUIVALENT
     ]
     good.sort(key=lambda candidate: candidate.from_start_rad)
     return next((x for x in good if x.angle_rad <= NEAR_RAD or reachable(x.R_goal_now)), good[0])
