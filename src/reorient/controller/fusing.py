@@ -138,7 +138,8 @@ def _hides(candidate: Candidate, known: Sequence[Step]) -> bool:
     return any(
         step.undone
         and step.R_step is not None
-        and float(so3.angle_difference(candidate.R_goal_now @ R_now_then, step.R_step)) <= SAME_RAD
+        and float(so3.angle_difference(candidate.R_goal_now @ R_now_then, step.R_step))
+        <= min(SAME_RAD, float(so3.angle(step.R_step)) / 2)
         for step, R_now_then in zip(known, rotations_since(known), strict=True)
     )
 

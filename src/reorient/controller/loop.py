@@ -21,7 +21,7 @@ from reorient.estimators.base import Estimator, RotationEstimate, check_pair
 from reorient.stations.base import Station, lacking, pivot_of
 
 LEAST_GAIN_RAD = float(np.radians(0.5))  # a way round an unreachable move is taken if it comes nearer by this
-LEAST_HIDING_RAD = float(np.radians(15))  # smaller moves do not hide an object that was seen before
+LEAST_HIDING_RAD = float(np.radians(5))  # smaller moves do not hide an object that was seen before
 
 
 def orient(
