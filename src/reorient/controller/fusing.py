@@ -114,18 +114,25 @@ class Fusing:
         settled = angle_rad <= max(self.tolerance_rad, CLEARLY * error_rad)
         if not settled and moves_left > 0 and looks_left > 0:
             return Decision(f"{looks} looks agree on {degrees}: turns by them", R_goal_now)
-        ties = sum(x.examined and x is not best and abs(x.log_weight - best.log_weight) < TIE for x in found)
-        matches = float(1 / (1 + np.exp(-arrival_log_odds(seen[-1])))) / (1 + ties)
-        sure = matches * _within(angle_rad)
-        said = f"{degrees} are left, give or take {np.degrees(error_rad):.2f}; {min(sure, 0.99):.0%} sure"
+        said = f"{degrees} are left, give or take {np.degrees(error_rad):.2f}"
         if not settled:
             said += f"; no more {'moves' if moves_left <= 0 else 'images'} are allowed to turn by them"
-        if ties:
-            said += "; another orientation matches as well"
-        elif matches < LEAST_SURE:
-            said += "; nothing that was tried surely matches the goal, and this is the likeliest"
         near = settled or angle_rad <= ENOUGH_RAD
-        return Decision(said, None, True, near and sure >= LEAST_SURE, sure)
+        ties = sum(x.examined and x is not best and abs(x.log_weight - best.log_weight) < TIE for x in found)
+        return _end(said, near, _within(angle_rad), seen[-1], ties)
+
+
+def _end(said: str, near: bool, within: float, here: Stand, ties: int) -> Decision:
+    """The end, at an arrival: with a claim, if it is near enough and likelier right than not. ``ties``: how many other
+    orientations match as well, each of which is as likely."""
+    matches = float(1 / (1 + np.exp(-arrival_log_odds(here)))) / (1 + ties)
+    sure = matches * within
+    said += f"; {min(sure, 0.99):.0%} sure"
+    if ties:
+        said += "; another orientation matches as well"
+    elif matches < LEAST_SURE:
+        said += "; nothing that was tried surely matches the goal, and this is the likeliest"
+    return Decision(said, None, True, near and sure >= LEAST_SURE, sure)
 
 
 def _within(left_rad: float) -> float:
