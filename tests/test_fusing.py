@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
 from reorient import Fusing, Limits, Proportional, StationError, load_estimator, orient, so3
 from reorient.controller.base import Step
@@ -12,7 +13,7 @@ from reorient.controller.memory import average, candidates, stands
 from reorient.errors import ReorientError
 from reorient.estimators.base import RotationEstimate
 from reorient.estimators.evidence import Evidence
-from reorient.recognition import likeness, upright_axes
+from reorient.recognition import half_turns, likeness, upright_axes
 from reorient.rendering import load_world
 from reorient.sensing import randomised
 from reorient.stations.faulty import FaultyStation
@@ -120,10 +121,33 @@ def test_likeness_tells_the_pose_from_another(mesh):
         assert (likeness(captures, goal, [still, still]) > 0) == right
 
 
-def test_upright_axes_of_a_box_are_its_own():
-    import trimesh
+BOX = trimesh.creation.box((1, 0.7, 0.5))
 
-    station = RenderedStation(trimesh.creation.box((1, 0.7, 0.5)), WORLD, randomised(), np.random.default_rng(2))
+
+def test_half_turns_are_judged_by_what_the_captures_show(mesh):
+    """Of a box one or more lose next to nothing; of another body all do."""
+    for body, alike in ((BOX, True), (mesh, False)):
+        station, goal, R_goal = cell(body, seed=3, noise_m=0.001)
+        before, R_before = station.capture(), station.R_camera_object
+        station.R_camera_object = R_goal
+        turns = half_turns(station.capture(), goal, [(before, R_goal @ R_before.T)])
+        assert len(turns) == 3
+        assert (min(loss for _, loss in turns) < 0.1) == alike
+
+
+def test_where_two_orientations_match_equally_that_is_announced():
+    station, goal, R_goal = cell(BOX, 170.0, seed=3, noise_m=0.001)
+    facing = R_goal[:, np.argmax(np.abs(R_goal[2]))]
+    flip = so3.exp(np.pi * facing)  # a symmetry of the box, and one that its views leave open
+    result = orient(station, goal, Oracle(station, R_goal, flip=flip), Fusing(), limits=NOW)
+    assert min(left_deg(station, R_goal), left_deg(station, flip @ R_goal)) < 3
+    assert not result.converged
+    assert result.confidence < 0.5
+    assert "another orientation matches as well" in result.reason
+
+
+def test_upright_axes_of_a_box_are_its_own():
+    station = RenderedStation(BOX, WORLD, randomised(), np.random.default_rng(2))
     axes = upright_axes(station.capture_goal())
     np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-6)
     assert np.abs(axes @ station.R_camera_object).max(axis=1).min() > np.cos(np.radians(3))
@@ -217,8 +241,70 @@ def test_what_keeps_failing_ends_the_loop_with_the_record_kept(mesh, kind):
     result = orient(faulty, goal, Oracle(station, R_goal), Fusing(), limits=NOW)
     assert not result.converged
     assert result.reason == result.faults[-1]
-    assert len(result.faults) == Fusing().patience + 1
     assert result.steps
+    again = kind == "gone"  # seen from where it was before the move, too
+    assert len(result.faults) == (Fusing().patience + 1) * (1 + again) + again
+    assert left_deg(station, R_goal) == pytest.approx(60)
+
+
+class Hiding:
+    """A station on which the object cannot be seen near one orientation."""
+
+    def __init__(self, station, R_hidden, turns_back=True):
+        self.station, self.R_hidden, self.turns_back = station, R_hidden, turns_back
+        self.pivot_m = station.pivot_m
+
+    def hides(self):
+        return float(so3.angle_difference(self.station.R_camera_object, self.R_hidden)) < np.radians(20)
+
+    def capture(self):
+        if self.hides():
+            raise StationError("no object in view")
+        return self.station.capture()
+
+    def rotate(self, R_step):
+        if self.hides() and not self.turns_back:
+            raise StationError("refused to move")
+        return self.station.rotate(R_step)
+
+
+class Torn(Oracle):
+    """Thinks another orientation, half a turn from the goal's, a little likelier than the goal's."""
+
+    def estimate(self, current, goal, pivot_m=None, history=()):
+        estimate = super().estimate(current, goal, pivot_m, history)
+        R = estimate.R_goal_current
+        flipped = so3.exp(np.array([np.pi, 0, 0])) @ R
+        return replace(estimate, R_goal_current=flipped, confidence=0.55, alternatives=((R, 0.4),))
+
+
+def test_a_move_that_hides_the_object_is_taken_back_and_the_next_candidate_tried(mesh):
+    station, goal, R_goal = cell(mesh, 80.0)
+    hiding = Hiding(station, so3.exp(np.array([np.pi, 0, 0])) @ R_goal)
+    result = orient(hiding, goal, Torn(station, R_goal), Fusing(), limits=NOW)
+    assert left_deg(station, R_goal) < 1e-3
+    undone = [step for step in result.steps if step.undone]
+    assert len(undone) == 1  # never tried again
+    assert float(so3.angle(undone[0].R_executed)) < 1e-6
+    assert result.moves == sum(step.R_step is not None for step in result.steps) + 1
+    assert any("it was taken back" in fault for fault in result.faults)
+
+
+@pytest.mark.parametrize(
+    ("strategy", "limits", "turns_back"),
+    [
+        (Fusing(), NOW, False),
+        (Fusing(), Limits(largest_total_rad=np.radians(300), wait_s=0.0), True),
+        (Proportional(eta=1.0, patience=3), NOW, True),
+    ],
+)
+def test_a_move_that_cannot_be_taken_back_ends_the_loop(mesh, strategy, limits, turns_back):
+    station, goal, R_goal = cell(mesh, 80.0)
+    hiding = Hiding(station, so3.exp(np.array([np.pi, 0, 0])) @ R_goal, turns_back)
+    result = orient(hiding, goal, Torn(station, R_goal), strategy, limits=limits)
+    assert hiding.hides()
+    assert not result.converged
+    assert "no object in view" in result.reason
 
 
 def test_an_estimator_that_fails_is_asked_again_with_another_image(mesh):
@@ -450,7 +536,9 @@ def test_a_strategy_that_fails_ends_the_loop_with_the_record_kept(mesh, unchecke
     assert (len(result.steps), result.moves, result.converged) == (2, 1, False)
     assert result.reason == "the strategy failed: IndexError: pop from empty list"
     for wrong in ("fusing", Fusing, object()):
-        with pytest.raises(ReorientError, match="expected an object with max_steps, patience, recalled, decide"):
+        with pytest.raises(
+            ReorientError, match="expected an object with max_steps, patience, takes_back, recalled, decide"
+        ):
             orient(station, goal, Oracle(station, R_goal), wrong)
 
 

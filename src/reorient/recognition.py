@@ -11,9 +11,12 @@ from itertools import pairwise, permutations
 import numpy as np
 from jaxtyping import Float
 
+from reorient import so3
 from reorient.depth import DepthImage
-from reorient.estimators.base import RotationEstimate
+from reorient.estimators.base import History, RotationEstimate
+from reorient.estimators.default import pose
 from reorient.estimators.evidence import View, size_m, weigh
+from reorient.estimators.refine import Hypotheses, descend
 from reorient.planes import fit_planes
 
 POINTS = 1500  # of each image
@@ -26,6 +29,8 @@ NEUTRAL, UNIT = (
 LEAST_MISFIT = 0.05  # even where two captures fit all over
 MOST = 6.0  # log odds that one place can add or take
 ALIGNED_COS = np.cos(np.radians(20))
+SETTLING = (0.06, 0.05, 0.04, 0.03, 0.025, 0.02, 0.015, 0.012, 0.012)  # tolerances of the steps of a guess, in sizes
+SETTLING_POINTS = 600
 
 
 def likeness(captures: Sequence[DepthImage], goal: DepthImage, estimates: Sequence[RotationEstimate]) -> float:
@@ -43,6 +48,22 @@ def likeness(captures: Sequence[DepthImage], goal: DepthImage, estimates: Sequen
     own = [max(weigh(a, b, R, t_m, tolerance_m).fit for R, t_m in between) for a, b in pairwise(views)]
     beyond = (np.mean(others) - np.mean(own)) / (1 + LEAST_MISFIT - np.mean(own))
     return float(np.clip((beyond - NEUTRAL) / UNIT, -MOST, MOST))
+
+
+def half_turns(
+    capture: DepthImage, goal: DepthImage, history: History = ()
+) -> list[tuple[Float[np.ndarray, "3 3"], float]]:
+    """Of a pose that may be the goal's: half turns about the axes of what is seen, each settled into place, with the
+    agreement with the goal that is lost where it, and not staying, leads there.
+
+    ``history``: earlier captures, each with R_now_then. What no capture shows, no guess can be blamed for: a small loss
+    means that the turned object may look like the goal, too, not that it does.
+    """
+    problem = pose(capture, goal, None, history)
+    R = np.concatenate([np.eye(3)[None], so3.exp(np.pi * upright_axes(capture))])
+    settled = descend(problem, Hypotheses(R, problem.start(R)), SETTLING, SETTLING_POINTS)
+    agreement = problem.agreement(settled, TOLERANCE, POINTS)
+    return list(zip(settled.R[1:], (agreement[0] - agreement[1:]).tolist(), strict=True))
 
 
 def upright_axes(image: DepthImage) -> Float[np.ndarray, "3 3"]:

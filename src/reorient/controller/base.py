@@ -32,6 +32,13 @@ class Step:
     """The decision in words."""
     fault: str = ""
     """What went wrong in the move."""
+    undone: bool = False
+    """Whether the move was taken back, as nothing could be seen after it; ``R_executed`` is then of both moves."""
+
+    @property
+    def moves(self) -> int:
+        """How often the object was turned after this image, as far as is known."""
+        return 0 if self.R_executed is None else 1 + self.undone
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,14 +67,15 @@ class OrientResult:
     reason: str
     """Why it ended, in words."""
     confidence: float | None = None
-    """How likely the object is now within 5 degrees of the goal (or of what looks like it); None where not known."""
+    """How likely the object is now within 5 degrees of the goal; below one half where another orientation was seen to
+    match as well; None where not known."""
     faults: tuple[str, ...] = ()
     """What went wrong on the way, in words."""
 
     @property
     def moves(self) -> int:
         """How often the object was turned."""
-        return sum(step.R_executed is not None for step in self.steps)
+        return sum(step.moves for step in self.steps)
 
 
 @runtime_checkable
@@ -82,6 +90,12 @@ class Strategy(Protocol):
     @property
     def patience(self) -> int:
         """How many failures of camera, gripper or estimator in a row it bears."""
+        ...
+
+    @property
+    def takes_back(self) -> bool:
+        """Whether a large move after which that many are exceeded is taken back, and the loop goes on from there. The
+        strategy finds it in the record as ``undone``."""
         ...
 
     def recalled(self, steps: Sequence[Step]) -> list[tuple[DepthImage, Float[np.ndarray, "3 3"]]]:

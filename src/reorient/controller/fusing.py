@@ -5,12 +5,15 @@ can be carried along to now: all of them are claims about one thing, the rotatio
 weighed together as *candidates*. The strategy goes to the likeliest; there it looks twice, checks whether the goal
 looks as like the object as the object looks like itself (``recognition``), averages, and makes the last small moves.
 What fails the check is a false arrival: it loses its weight, and its half turns about the axes of what is seen become
-candidates, as most false arrivals are half turns of nearly symmetric objects.
+candidates, as most false arrivals are half turns of nearly symmetric objects. Where such a half turn is contradicted
+by no capture, it is visited even from an arrival that leaves no doubt, and what matches better is taken: the one goal
+image is all that can tell them apart. Two that match equally end the loop at even odds, without a claim.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import erfc, sqrt
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -19,6 +22,7 @@ from reorient import so3
 from reorient.controller.base import Decision, Reachable, Step, known_part, rotations_since
 from reorient.controller.memory import (
     NEAR_RAD,
+    SAME_RAD,
     Candidate,
     Stand,
     arrival_log_odds,
@@ -35,11 +39,15 @@ MOST_LOOKS = 6  # captures of the last place
 STEADY_RAD = float(np.radians(0.09))  # the average's standard error that needs no more looks
 CLEARLY = 1.5  # standard errors
 EQUIVALENT = 0.9  # log odds below the likeliest candidate's: as good, and taken if nearer
-TIE = 2.0  # log odds by which a rival must beat what was found nearer: as much as noise can make
+BETTER = 0.5  # log odds by which an examined pose must beat the present one to be returned to
+SMALL_RAD = float(np.radians(60))  # between start and goal; of uniform starts one in 17 is so near
+TIE = 2.0  # log odds by which an examined pose must beat another: less is noise, and no better than even odds
 SURE_FROM_AFAR = 0.95  # what a view from elsewhere gives, so that no rival need be seen
 SURE_HERE = 0.985  # what the arrival itself gives, to the same end
 MATCHES = 5.5  # log odds of an arrival, to the same end: more than false ones had
 NAMED = 0.2  # what makes an alternative a rival
+ALIKE = 0.3  # agreement that a half turn may lose and still be one: those from false arrivals to the goal lost 0.26
+HARDLY_ALIKE = 0.6  # the same for an arrival in doubt
 RESERVED = 3  # moves kept for the way back to the best and the last small ones
 RIGHT_RAD = float(np.radians(5))  # what a confidence is about
 ERR_RAD = float(np.radians(0.5))  # of an average, as its captures err alike
@@ -59,6 +67,7 @@ class Fusing:
     """Done when the averaged prediction is at most this, or not clearly above its own standard error."""
     patience: int = 3
     """How many failures in a row it bears."""
+    takes_back: ClassVar[bool] = True
     memory: bool = False
     """Whether the estimator is given earlier captures, too."""
 
@@ -78,8 +87,8 @@ class Fusing:
         """Examine an arrival, go on to the likeliest candidate, see a rival, make the last small move, or end."""
         known = known_part(steps)
         seen = stands(known, goal)
-        found = candidates(seen)
-        moves_left = self.most_moves - sum(step.R_step is not None for step in steps)
+        found = [x for x in candidates(seen) if not _hides(x, known)]
+        moves_left = self.most_moves - sum((step.R_step is not None) + step.undone for step in steps)
         looks_left = self.max_steps - len(steps)
         here = _here(found, seen[-1])
         looks = len(seen[-1].images)
@@ -89,7 +98,7 @@ class Fusing:
         choice = [x for x in found if x is here or x.angle_rad > NEAR_RAD]
         if last:  # no more experiments: of the poses that were examined the best, if there is one
             choice = [x for x in choice if x.examined] or [x for x in choice if not x.guessed]
-        best = _nearest_of_the_best(choice, reachable) if choice else None
+        best = _best(choice, here, reachable) if choice else None
         rival = _rival(best, found, seen, reachable) if best is not None and not last else None
         if rival is not None:
             turn = f"{np.degrees(rival.angle_rad):.0f} degrees"
@@ -105,17 +114,25 @@ class Fusing:
         settled = angle_rad <= max(self.tolerance_rad, CLEARLY * error_rad)
         if not settled and moves_left > 0 and looks_left > 0:
             return Decision(f"{looks} looks agree on {degrees}: turns by them", R_goal_now)
-        matches = float(1 / (1 + np.exp(-arrival_log_odds(seen[-1]))))
-        sure = matches * _within(angle_rad)
-        said = f"{degrees} are left, give or take {np.degrees(error_rad):.2f}; {min(sure, 0.99):.0%} sure"
+        said = f"{degrees} are left, give or take {np.degrees(error_rad):.2f}"
         if not settled:
             said += f"; no more {'moves' if moves_left <= 0 else 'images'} are allowed to turn by them"
-        if any(x.examined and x is not best and abs(x.log_weight - best.log_weight) < TIE for x in found):
-            said += "; another orientation matches about as well"
-        if matches < LEAST_SURE:
-            said += "; nothing that was tried surely matches the goal, and this is the likeliest"
         near = settled or angle_rad <= ENOUGH_RAD
-        return Decision(said, None, True, near and sure >= LEAST_SURE, sure)
+        ties = sum(x.examined and x is not best and abs(x.log_weight - best.log_weight) < TIE for x in found)
+        return _end(said, near, _within(angle_rad), seen[-1], ties)
+
+
+def _end(said: str, near: bool, within: float, here: Stand, ties: int) -> Decision:
+    """The end, at an arrival: with a claim, if it is near enough and likelier right than not. ``ties``: how many other
+    orientations match as well, each of which is as likely."""
+    matches = float(1 / (1 + np.exp(-arrival_log_odds(here)))) / (1 + ties)
+    sure = matches * within
+    said += f"; {min(sure, 0.99):.0%} sure"
+    if ties:
+        said += "; another orientation matches as well"
+    elif matches < LEAST_SURE:
+        said += "; nothing that was tried surely matches the goal, and this is the likeliest"
+    return Decision(said, None, True, near and sure >= LEAST_SURE, sure)
 
 
 def _within(left_rad: float) -> float:
@@ -123,9 +140,20 @@ def _within(left_rad: float) -> float:
     return 0.5 * erfc((left_rad - RIGHT_RAD) / ERR_RAD / sqrt(2))
 
 
+def _hides(candidate: Candidate, known: Sequence[Step]) -> bool:
+    """Whether a move to it was taken back, as nothing could be seen there."""
+    return any(
+        step.undone
+        and step.R_step is not None
+        and float(so3.angle_difference(candidate.R_goal_now @ R_now_then, step.R_step))
+        <= min(SAME_RAD, float(so3.angle(step.R_step)) / 2)
+        for step, R_now_then in zip(known, rotations_since(known), strict=True)
+    )
+
+
 def _here(found: Sequence[Candidate], stand: Stand) -> Candidate | None:
     """The candidate that the present pose stands for, if an estimate names it from here."""
-    if min(nearest(estimate, np.eye(3))[1] for estimate in stand.estimates) > NEAR_RAD:
+    if not found or min(nearest(estimate, np.eye(3))[1] for estimate in stand.estimates) > NEAR_RAD:
         return None
     return min(found, key=lambda candidate: candidate.angle_rad)
 
@@ -155,14 +183,19 @@ def _approach(best: Candidate | None, moves_left: int) -> Decision:
     return Decision(f"{why}: turns by {turn}", best.R_goal_now)
 
 
-def _nearest_of_the_best(found: Sequence[Candidate], reachable: Reachable) -> Candidate:
-    """Of the candidates that are about as likely as the likeliest, the nearest to the start that can be reached."""
+def _best(found: Sequence[Candidate], here: Candidate | None, reachable: Reachable) -> Candidate:
+    """The likeliest candidate. Of examined ones that noise cannot tell apart one near the start, as most turns that are
+    asked for are small, or else the present, unless another is a little better. Of others that are about as likely the
+    nearest to the start that can be reached."""
     top = found[0]
+    tied = [x for x in found if x.examined and top.log_weight - x.log_weight < TIE]
+    near = [x for x in tied if x.from_start_rad <= SMALL_RAD]
+    if near:
+        return min(near, key=lambda candidate: candidate.from_start_rad)
+    if top.examined:
+        return here if here in tied and top.log_weight - here.log_weight < BETTER else top
     good = [
-        x
-        for x in found
-        if (x.examined and top.log_weight - x.log_weight < TIE)
-        or (top.log_weight - x.log_weight < EQUIVALENT and top.from_views - x.from_views < EQUIVALENT)
+        x for x in found if top.log_weight - x.log_weight < EQUIVALENT and top.from_views - x.from_views < EQUIVALENT
     ]
     good.sort(key=lambda candidate: candidate.from_start_rad)
     return next((x for x in good if x.angle_rad <= NEAR_RAD or reachable(x.R_goal_now)), good[0])
@@ -171,18 +204,23 @@ def _nearest_of_the_best(found: Sequence[Candidate], reachable: Reachable) -> Ca
 def _rival(
     best: Candidate, found: Sequence[Candidate], seen: Sequence[Stand], reachable: Reachable
 ) -> Candidate | None:
-    """What should be seen before the best is believed: what other views named, then half turns. Nothing, where it has
-    been examined and leaves no doubt."""
+    """What should be seen before the best is believed, if it has been examined: what views named, unless it leaves no
+    doubt, then half turns of it that no capture contradicts, as sure as it may be."""
     poses = [stand for stand in seen if _at(best, stand) and stand.likeness is not None]
     if not poses:
         return None
     afar = [p for k, given in best.named.items() for p in given if not _at(best, seen[k])]
     own = np.mean([stand.confidence for stand in poses])
     odds = np.mean([arrival_log_odds(stand) for stand in poses])
-    if odds >= MATCHES or (odds > 0 and (own >= SURE_HERE or max(afar, default=1.0) >= SURE_FROM_AFAR)):
-        return None
-    rivals = [x for x in found if not x.visits and (x.guessed or x.support >= NAMED) and reachable(x.R_goal_now)]
-    return max(rivals, key=lambda x: (not x.guessed, x.support, -x.angle_rad), default=None)
+    sure = odds >= MATCHES or (odds > 0 and (own >= SURE_HERE or max(afar, default=1.0) >= SURE_FROM_AFAR))
+    rivals = [
+        x
+        for x in found
+        if not x.visits
+        and (x.loss <= (ALIKE if sure else HARDLY_ALIKE) or (x.support >= NAMED and not sure))
+        and reachable(x.R_goal_now)
+    ]
+    return max(rivals, key=lambda x: (x.support >= NAMED, -x.loss, x.support), default=None)
 
 
 def _at(candidate: Candidate, stand: Stand) -> bool:

@@ -21,6 +21,7 @@ from reorient.estimators.base import Estimator, RotationEstimate, check_pair
 from reorient.stations.base import Station, lacking, pivot_of
 
 LEAST_GAIN_RAD = float(np.radians(0.5))  # a way round an unreachable move is taken if it comes nearer by this
+LEAST_HIDING_RAD = float(np.radians(5))  # smaller moves do not hide an object that was seen before
 
 
 def orient(
@@ -38,15 +39,15 @@ def orient(
     ``strategy`` None: ``Fusing`` for an estimator with a calibrated confidence, Algorithm 1 for any other; with at most
     ``max_steps`` images, or as many as suits each. ``pivot_m``: rotation centre, camera axes; None: the station's own.
     Subscribers are called with each step, after its move. A failing station or estimator is asked again as often as the
-    strategy bears, then the loop ends with the record kept and the reason said; bad arguments raise ReorientError
-    before anything moves.
+    strategy bears; then a large last move is taken back, if the strategy wants that, or else the loop ends with the
+    record kept and the reason said. Bad arguments raise ReorientError before anything moves.
     """
     if not isinstance(goal, DepthImage):
         raise ReorientError(f"goal is a {type(goal).__name__}: expected DepthImage(depth_m, camera)")
     for thing, members in (
         (station, ("capture", "rotate", "pivot_m")),
         (estimator, ("estimate",)),
-        (strategy, () if strategy is None else ("max_steps", "patience", "recalled", "decide")),
+        (strategy, () if strategy is None else ("max_steps", "patience", "takes_back", "recalled", "decide")),
     ):
         if isinstance(thing, type) or lacking(thing, members):
             raise ReorientError(f"{thing!r} given: expected an object with {', '.join(members)}")
@@ -228,12 +229,28 @@ class _Loop:
             return True
 
     def failed(self, said: str) -> None:
-        """Note a failure; raise _Ended where the strategy has no more patience."""
+        """Note a failure; where the strategy has no more patience take the last move back, or raise _Ended."""
         self.faults.append(said)
         self.failures += 1
-        if self.failures > (self.strategy.patience if self.strategy else Fusing().patience):
+        if self.failures > (self.strategy.patience if self.strategy else Fusing().patience) and not self.take_back():
             raise _Ended(said)
         time.sleep(self.limits.wait_s)
+
+    def take_back(self) -> bool:
+        """Undo the last move, if it is a large one that may have hidden the object; whether that was done."""
+        step = self.steps[-1] if self.steps else None
+        if step is None or step.R_executed is None or step.undone or not (self.strategy and self.strategy.takes_back):
+            return False
+        R_back = step.R_executed.T
+        if float(so3.angle(R_back)) < LEAST_HIDING_RAD or self.forbidden(R_back):
+            return False
+        R_done, fault = self.turn(R_back)
+        degrees = f"{np.degrees(so3.angle(R_back)):.0f} degrees"
+        self.faults.append(fault or f"nothing could be seen after the move of {degrees}: it was taken back")
+        R_both = None if R_done is None else R_done @ step.R_executed
+        self.steps[-1] = replace(step, R_executed=R_both, fault=fault, undone=True)
+        self.failures = 0
+        return not fault
 
     def result(self, reason: str, converged: bool, confidence: float | None) -> OrientResult:
         return OrientResult(tuple(self.steps), converged, reason, confidence, tuple(self.faults))

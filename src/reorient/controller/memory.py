@@ -15,7 +15,7 @@ from reorient import so3
 from reorient.controller.base import Step, rotations_since
 from reorient.depth import DepthImage
 from reorient.estimators.base import RotationEstimate
-from reorient.recognition import likeness, upright_axes
+from reorient.recognition import half_turns, likeness
 
 NEAR_RAD = float(np.radians(8))  # so near, a pose stands for the candidate
 SAME_RAD = float(np.radians(15))  # claims so near each other are one candidate
@@ -23,6 +23,7 @@ NEW_VIEW_RAD = float(np.radians(10))  # poses turned by less show the same, and 
 LEAST, RIVALS = 0.02, 10  # a claim that is not named: its share, one in so many, of what is left, at the least this
 DENIED = -6.0  # log odds of a pose from which all estimates want to be off
 FAR_AGAINST = -4.0  # log odds, at the most, that views from elsewhere hold against a candidate: they err alike
+LEAST_AGAINST = -1.0  # the same, once it has been examined
 DRIFT = 0.05  # radians of error that a claim may gain per radian turned
 SPREAD_RAD = float(np.radians(0.3))  # of one estimate near the goal
 
@@ -37,6 +38,9 @@ class Stand:
     """What has turned the object since."""
     likeness: float | None
     """Log odds that this pose is the goal's; None unless its estimates stay near it, and it was captured twice."""
+    half_turns: Sequence[tuple[Float[np.ndarray, "3 3"], float]] = ()
+    """Where there is a likeness for the first time: turns that may lead to what looks the same, each with the agreement
+    that it loses by the captures up to here."""
 
     @property
     def confidence(self) -> float:
@@ -51,6 +55,8 @@ class Candidate:
     R_goal_now: Float[np.ndarray, "3 3"]
     guessed: bool = False
     """Whether no estimate names it."""
+    loss: float = float("inf")
+    """The least agreement that it loses against the arrivals that it is a half turn of."""
     from_start_rad: float = 0.0
     """How far it is from the first pose."""
     named: dict[int, list[float]] = field(default_factory=dict)
@@ -83,18 +89,32 @@ def stands(steps: Sequence[Step], goal: DepthImage) -> list[Stand]:
             groups.append([])
         groups[-1].append(k)
     R_now_then = rotations_since(steps)
-    found = []
+    found: list[Stand] = []
     for group in groups:
         images = tuple(steps[k].image for k in group)
         estimates = tuple(steps[k].estimate for k in group)
         near = float(np.median([nearest(estimate, np.eye(3))[1] for estimate in estimates])) <= NEAR_RAD
         alike = _likeness(images, goal, estimates) if near and len(group) >= 2 else None
-        found.append(Stand(images, estimates, R_now_then[group[0]], alike))
+        R_last = R_now_then[group[0]]
+        before = tuple((stand.images[0], _plain(R_last.T @ stand.R_now_then)) for stand in found)
+        known = [stand for stand in found if stand.half_turns and _same_pose(stand.R_now_then, R_last)]
+        turns = () if alike is None or known else _half_turns(images[0], goal, before)
+        found.append(Stand(images, estimates, R_last, alike, turns))
     return found
 
 
 _likeness = lru_cache(maxsize=64)(likeness)  # by identity: the same captures are asked about at every decision
-_axes = lru_cache(maxsize=64)(upright_axes)
+
+
+@lru_cache(maxsize=64)
+def _half_turns(
+    capture: DepthImage, goal: DepthImage, before: tuple[tuple[DepthImage, tuple[float, ...]], ...]
+) -> Sequence[tuple[Float[np.ndarray, "3 3"], float]]:
+    return half_turns(capture, goal, [(image, np.reshape(R, (3, 3))) for image, R in before])
+
+
+def _plain(R: Float[np.ndarray, "3 3"]) -> tuple[float, ...]:
+    return tuple(R.ravel().tolist())
 
 
 def claims(estimate: RotationEstimate) -> list[tuple[Float[np.ndarray, "3 3"], float]]:
@@ -127,20 +147,20 @@ def candidates(seen: Sequence[Stand]) -> list[Candidate]:
             for R, probability in claims(estimate):
                 _claim(found, R @ seen[k].R_now_then.T).named.setdefault(k, []).append(probability)
     for stand in seen:
-        if stand.likeness is not None:
-            for axis in _axes(stand.images[0]):
-                guess = _claim(found, so3.exp(np.pi * axis) @ stand.R_now_then.T)
-                guess.guessed = not guess.named
+        for R, loss in stand.half_turns:
+            guess = _claim(found, R @ stand.R_now_then.T)
+            guess.guessed, guess.loss = not guess.named, min(guess.loss, loss)
     for view in _views(seen):
         for candidate in found:
             candidate.from_views += float(np.mean(np.log(_given(candidate, seen, view))))
     most = max(candidate.from_views for candidate in found)
     for candidate in found:
-        far = FAR_AGAINST if candidate.guessed else max(candidate.from_views - most, FAR_AGAINST)
         visits = [s for s in seen if float(so3.angle(candidate.R_goal_now @ s.R_now_then)) <= NEAR_RAD]
         candidate.from_start_rad = float(so3.angle(candidate.R_goal_now @ seen[0].R_now_then))
         candidate.visits = len(visits)
         candidate.examined = any(stand.likeness is not None for stand in visits)
+        against = LEAST_AGAINST if candidate.examined else FAR_AGAINST
+        far = against if candidate.guessed else max(candidate.from_views - most, against)
         candidate.log_weight = far + _standing_there(visits)
     return sorted(found, key=lambda candidate: (-candidate.log_weight, -candidate.from_views))
 
@@ -148,9 +168,10 @@ def candidates(seen: Sequence[Stand]) -> list[Candidate]:
 def _standing_there(visits: Sequence[Stand]) -> float:
     """What poses add to the log odds of the candidate that they stand for: the mean of those looked at twice, as they
     err alike; where no estimate stays, a denial."""
-    looked = [arrival_log_odds(stand) for stand in visits if stand.likeness is not None]
+    looked = [stand for stand in visits if stand.likeness is not None]
     if looked:
-        return float(np.mean(looked))
+        odds = [arrival_log_odds(stand) for stand in looked]
+        return float(np.average(odds, weights=[len(stand.images) for stand in looked]))
     denied = [min(nearest(e, np.eye(3))[1] for e in stand.estimates) > NEAR_RAD for stand in visits]
     return DENIED if any(denied) else 0.0
 
@@ -175,12 +196,16 @@ def _views(seen: Sequence[Stand]) -> list[list[int]]:
     views: list[list[int]] = []
     for k, stand in enumerate(seen):
         for view in views:
-            if so3.angle_difference(seen[view[0]].R_now_then, stand.R_now_then) < NEW_VIEW_RAD:
+            if _same_pose(seen[view[0]].R_now_then, stand.R_now_then):
                 view.append(k)
                 break
         else:
             views.append([k])
     return views
+
+
+def _same_pose(R_now_then: Float[np.ndarray, "3 3"], R_now_other: Float[np.ndarray, "3 3"]) -> bool:
+    return float(so3.angle_difference(R_now_then, R_now_other)) < NEW_VIEW_RAD
 
 
 def _given(candidate: Candidate, seen: Sequence[Stand], view: Sequence[int]) -> list[float]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -24,6 +25,7 @@ class Proportional:
     """Done when the predicted angle is at most this."""
     patience: int = 0
     """How many failures in a row it bears; the paper's none."""
+    takes_back: ClassVar[bool] = False
     memory: bool = True
     """Whether the estimator is given the earlier captures."""
 

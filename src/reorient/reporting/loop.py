@@ -81,8 +81,7 @@ def evidence_in_words(evidence: Evidence) -> str:
 
 def _moves_before(steps: Sequence[Step]) -> list[int]:
     """How often the object had been turned at each image."""
-    turned = [step.R_executed is not None for step in steps]
-    return [sum(turned[:k]) for k in range(len(steps))]
+    return [sum(step.moves for step in steps[:k]) for k in range(len(steps))]
 
 
 def _decisions(result: OrientResult) -> str:
