@@ -9,7 +9,7 @@ import trimesh
 from reorient import so3
 from reorient.depth import Camera, DepthImage
 from reorient.errors import ReorientError
-from reorient.estimators import load_estimator
+from reorient.estimators import default, load_estimator
 from reorient.estimators.default import Default, pose
 from reorient.estimators.judge import FEATURES, Judge, features, load_judge
 from reorient.estimators.refine import BOX_POINTS, Hypotheses, descend, distinct, normal_equations, scatter
@@ -314,6 +314,17 @@ def test_a_file_that_is_no_judge_is_refused(tmp_path):
     path.write_bytes(b"no weights")
     with pytest.raises(ReorientError, match="cannot read the judge .* expected the package's judge.npz"):
         load_judge(path)
+
+
+def test_the_polish_is_kept_unless_it_slides_away(mesh, monkeypatch):
+    pair = pair_of(mesh, 5, 60, randomised(0.001))
+    problem, truth = pose(pair.current, pair.goal, pair.pivot_m), motion_of(pair)
+    polished = default._polished(problem, truth)
+    assert errors_deg(polished.R[0], pair.R_goal_current) < 1
+    slid = Hypotheses(so3.exp(np.array([[0.0, 0.2, 0.0]])) @ truth.R, truth.t_m)
+    for answer, kept in ((polished, True), (slid, False)):
+        monkeypatch.setattr(default, "_registered", lambda problem, start, answer=answer: answer)
+        assert (default._polished(problem, truth) is answer) == kept
 
 
 # --- words and pictures ---------------------------------------------------------------------------------------------

@@ -28,8 +28,8 @@ FINE_TOLERANCE = 0.012  # depth difference that still fits, in sizes
 POLISH = (0.008, 0.006, 0.004, 0.003)  # tolerances of the last steps, in sizes, unless noise forbids
 POLISH_POINTS = 4000
 NOISE_FACTOR = 4.0  # the last tolerances are at least this many typical residuals
-QUIET = 0.0045  # typical residual below which GICP is finer than planes fitted to pixels
-GATE = 0.02  # of its correspondences
+GATE = 0.02  # of the correspondences of GICP
+SCORED_TOLERANCE = 0.0045  # by which its answer is compared with what it began from
 NO_WORSE = 0.002  # agreement that its answer may lose: what lies between pixels counts as little
 LEAST_NOISE = 0.001  # residual that even exact depth leaves between pixels
 COVARIANCE_SCALE = 0.044  # from the curvature's inverse to the scatter with 1 mm noise; without noise pessimistic
@@ -136,13 +136,11 @@ def verdict(problem: Problem, hypotheses: Hypotheses, judge: Judge, effort: str)
 
 
 def _polished(problem: Problem, answer: Hypotheses) -> Hypotheses:
-    """The last steps, on all returns; where there is next to no noise, generalised ICP is finer still."""
+    """The last steps, on all returns; then generalised ICP, which is finer still unless it slides away."""
     noise = _residual(problem, answer)
     answer = descend(problem, answer, [max(x, NOISE_FACTOR * noise) for x in POLISH], POLISH_POINTS)
-    if noise > QUIET:
-        return answer
     finer = _registered(problem, answer)
-    before, after = (problem.score(x, QUIET, POLISH_POINTS)[0] for x in (answer, finer))
+    before, after = (problem.score(x, SCORED_TOLERANCE, POLISH_POINTS)[0] for x in (answer, finer))
     return finer if after >= before - NO_WORSE else answer
 
 
