@@ -28,6 +28,7 @@ FINE_TOLERANCE = 0.012  # depth difference that still fits, in sizes
 POLISH = (0.008, 0.006, 0.004, 0.003)  # tolerances of the last steps, in sizes, unless noise forbids
 POLISH_POINTS = 4000
 NOISE_FACTOR = 4.0  # the last tolerances are at least this many typical residuals
+COARSEST = 0.02  # voxel of GICP, in sizes, where noise leaves nothing finer to see
 GATE = 0.02  # of the correspondences of GICP
 SCORED_TOLERANCE = 0.0045  # by which its answer is compared with what it began from
 NO_WORSE = 0.002  # agreement that its answer may lose: what lies between pixels counts as little
@@ -139,7 +140,7 @@ def _polished(problem: Problem, answer: Hypotheses) -> Hypotheses:
     """The last steps, on all returns; then generalised ICP, which is finer still unless it slides away."""
     noise = _residual(problem, answer)
     answer = descend(problem, answer, [max(x, NOISE_FACTOR * noise) for x in POLISH], POLISH_POINTS)
-    finer = _registered(problem, answer)
+    finer = _registered(problem, answer, float(np.clip(NOISE_FACTOR * noise, FINE.voxel, COARSEST)))
     before, after = (problem.score(x, SCORED_TOLERANCE, POLISH_POINTS)[0] for x in (answer, finer))
     return finer if after >= before - NO_WORSE else answer
 
@@ -151,13 +152,11 @@ def _residual(problem: Problem, answer: Hypotheses) -> float:
     return float(np.nan_to_num(evidence.residual_m)) / size_m
 
 
-def _registered(problem: Problem, answer: Hypotheses) -> Hypotheses:
-    """GICP from the answer; the answer itself where the clouds are too small for it."""
+def _registered(problem: Problem, answer: Hypotheses, voxel: float) -> Hypotheses:
+    """GICP from the answer, ``voxel`` in sizes; the answer itself where the clouds are too small for it."""
     size_m = problem.frame.size_m
     clouds = (problem.looks[0].surface.all_points_m, problem.goal.all_points_m)
-    (source, _), (target, tree) = (
-        small_gicp.preprocess_points(x.astype(float), FINE.voxel * size_m, 10) for x in clouds
-    )
+    (source, _), (target, tree) = (small_gicp.preprocess_points(x.astype(float), voxel * size_m, 10) for x in clouds)
     if min(source.size(), target.size()) < FEWEST_POINTS:
         return answer
     T = np.eye(4)
