@@ -323,7 +323,7 @@ def test_the_polish_is_kept_unless_it_slides_away(mesh, monkeypatch):
     assert errors_deg(polished.R[0], pair.R_goal_current) < 1
     slid = Hypotheses(so3.exp(np.array([[0.0, 0.2, 0.0]])) @ truth.R, truth.t_m)
     for answer, kept in ((polished, True), (slid, False)):
-        monkeypatch.setattr(default, "_registered", lambda problem, start, answer=answer: answer)
+        monkeypatch.setattr(default, "_registered", lambda *_, answer=answer: answer)
         assert (default._polished(problem, truth) is answer) == kept
 
 
