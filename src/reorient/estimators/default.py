@@ -28,7 +28,8 @@ FINE_TOLERANCE = 0.012  # depth difference that still fits, in sizes
 POLISH = (0.008, 0.006, 0.004, 0.003)  # tolerances of the last steps, in sizes, unless noise forbids
 POLISH_POINTS = 4000
 NOISE_FACTOR = 4.0  # the last tolerances are at least this many typical residuals
-COARSEST = 0.02  # voxel of GICP, in sizes, where noise leaves nothing finer to see
+QUIET = 0.0045  # residual, in sizes, of depth with next to no noise
+NOISY_VOXEL = 0.02  # of GICP, in sizes, where noise leaves nothing finer to see
 GATE = 0.02  # of the correspondences of GICP
 SCORED_TOLERANCE = 0.0045  # by which its answer is compared with what it began from
 NO_WORSE = 0.002  # agreement that its answer may lose: what lies between pixels counts as little
@@ -140,7 +141,7 @@ def _polished(problem: Problem, answer: Hypotheses) -> Hypotheses:
     """The last steps, on all returns; then generalised ICP, which is finer still unless it slides away."""
     noise = _residual(problem, answer)
     answer = descend(problem, answer, [max(x, NOISE_FACTOR * noise) for x in POLISH], POLISH_POINTS)
-    finer = _registered(problem, answer, float(np.clip(NOISE_FACTOR * noise, FINE.voxel, COARSEST)))
+    finer = _registered(problem, answer, FINE.voxel if noise < QUIET else NOISY_VOXEL)
     before, after = (problem.score(x, SCORED_TOLERANCE, POLISH_POINTS)[0] for x in (answer, finer))
     return finer if after >= before - NO_WORSE else answer
 

@@ -27,7 +27,7 @@ STARTS = 8
 FINALISTS = 3
 LARGEST_PIVOT_SHIFT = 0.2  # of the object's size; a hypothesis that moves a known pivot farther is implausible
 PIVOT_ERROR_M = 0.01  # what a known pivot is good to; where that is not small against the object it says nothing
-FEWEST_POINTS = 10  # of a cloud at its resolution
+FEWEST_POINTS = 11  # of a cloud at its resolution; small_gicp warns of fewer
 # Neighbouring pixels share noise and small_gicp takes planes for a hundredth as uncertain as they are long: the factor
 # from the inverse Hessian to the scatter observed with 1 mm noise; without noise it is pessimistic.
 COVARIANCE_SCALE = 10.0
