@@ -63,7 +63,7 @@ def print_tables(rows: Sequence[Row], console: Console) -> None:
 
 
 def markdown_table(rows: Sequence[Row], by: Breakdown = RANGE) -> str:
-    """The table and its notes for RESULTS.md."""
+    """The table and its notes, in Markdown."""
     marks = ["---" if index < _WORDS else "---:" for index in range(len(HEADINGS))]
     lines = [by.headings, marks, *([cell.replace("|", "\\|") for cell in cells] for _, cells in _lines(rows, by))]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines) + f"\n\n{notes(rows)}{by.note}\n"
