@@ -1,6 +1,7 @@
 """The paper's baseline: trimesh's iterative closest point, on correct clouds, reflection and scale off.
 
-The paper's release shrinks the cloud to a line and lets ICP mirror and scale it; `reorient reproduce non-symmetric` measures what that costs.
+The paper's release shrinks the cloud to a line and lets ICP mirror and scale it; `reorient reproduce non-symmetric`
+measures what that costs.
 """
 
 import numpy as np
