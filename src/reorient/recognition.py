@@ -3,13 +3,17 @@
 Two captures of one pose differ by noise, lost pixels and the gripper's shadow alone. Where the goal image differs from
 them by more, it shows another side of the object: a false arrival, such as the back of a cupboard that looks much like
 its front. So the object is its own yardstick, whatever the camera's noise and the object's shape are.
+
+``likeness`` says that of one pose, by the share that fits. Between two poses that both fit, ``misfit`` decides, which
+adds up how far each depth is off in units of the noise, and so sees differences that no single pixel shows.
 """
 
 from collections.abc import Sequence
-from itertools import pairwise, permutations
+from itertools import combinations, pairwise, permutations
 
 import numpy as np
 from jaxtyping import Float
+from scipy import ndimage
 
 from reorient import so3
 from reorient.depth import DepthImage
@@ -28,9 +32,16 @@ NEUTRAL, UNIT = (
 )  # difference of fit, over misfit, that says nothing either way; that adds one to the log odds
 LEAST_MISFIT = 0.05  # even where two captures fit all over
 MOST = 6.0  # log odds that one place can add or take
+STAYING_RAD = float(np.radians(15))
+MOST_DEVIATIONS = 3.0  # that one depth counts as
+SHIFT_PX = 0.6  # by which views may be misaligned: where depth is steep over pixels it says less
+LEAST_NOISE = 0.001  # of depth, in sizes
+PER_NAT = 370.0  # summed squares that are as telling as one nat: neighbours err alike, and alignment errs, too
 ALIGNED_COS = np.cos(np.radians(20))
 SETTLING = (0.06, 0.05, 0.04, 0.03, 0.025, 0.02, 0.015, 0.012, 0.012)  # tolerances of the steps of a guess, in sizes
+SETTLING_FINE = (0.01, 0.008, 0.006)
 SETTLING_POINTS = 600
+MORE_OFF, MORE_MISSING = 0.03, 0.1  # shares by which a repeated view may differ more than two captures do
 
 
 def likeness(captures: Sequence[DepthImage], goal: DepthImage, estimates: Sequence[RotationEstimate]) -> float:
@@ -48,6 +59,85 @@ def likeness(captures: Sequence[DepthImage], goal: DepthImage, estimates: Sequen
     own = [max(weigh(a, b, R, t_m, tolerance_m).fit for R, t_m in between) for a, b in pairwise(views)]
     beyond = (np.mean(others) - np.mean(own)) / (1 + LEAST_MISFIT - np.mean(own))
     return float(np.clip((beyond - NEUTRAL) / UNIT, -MOST, MOST))
+
+
+def misfit(captures: Sequence[DepthImage], goal: DepthImage, estimates: Sequence[RotationEstimate]) -> float:
+    """How far the depths of a pose's captures (two or more) and of the goal are from each other, in nats a capture.
+
+    What one pose has less than another, times the captures that each of them has, is how much likelier the goal shows
+    it: the log of their odds. An estimate from which this is not the pose is left out.
+    """
+    target = View(goal, POINTS)
+    noise_m = max(_noise_m(captures), LEAST_NOISE * size_m(target.all_points_m))
+    views = [View(image, POINTS) for image in captures]
+    stay = (np.eye(3), np.zeros(3))
+    motions = [(x.R_goal_current, x.t_goal_current_m) for x in estimates]
+    near = [motion for motion in motions if float(so3.angle(motion[0])) <= STAYING_RAD] or [stay]
+    motions = [motion if float(so3.angle(motion[0])) <= STAYING_RAD else near[0] for motion in motions]
+    shown = _squares(goal, views, [(R.T, -R.T @ t_m) for R, t_m in motions], noise_m)
+    seen = [_squares(image, [target], [motion], noise_m) for image, motion in zip(captures, motions, strict=True)]
+    return float(len(target.all_points_m) * (shown + np.mean(seen)) / 2 / PER_NAT)
+
+
+def _noise_m(captures: Sequence[DepthImage]) -> float:
+    """Standard deviation of one capture's depths, from pairs of captures of one pose."""
+    differences = [np.abs(a.depth_m - b.depth_m)[a.valid & b.valid] for a, b in combinations(captures, 2)]
+    return float(np.mean([np.median(x) if x.size else 0.0 for x in differences]) / 0.6745 / np.sqrt(2))
+
+
+def _squares(
+    image: DepthImage, views: Sequence[View], motions: Sequence[tuple[np.ndarray, np.ndarray]], noise_m: float
+) -> float:
+    """Mean over an image's returns of their squared depth differences to views, in variances; for what no view shows,
+    the most."""
+    points_m = image.points()
+    deviation_m = np.hypot(np.sqrt(2) * noise_m, SHIFT_PX * _steep_m(image))
+    total, count = np.zeros(len(points_m)), np.zeros(len(points_m))
+    for view, (R, t_m) in zip(views, motions, strict=True):
+        dz_m, missed = view.compare(points_m @ R.T + t_m)
+        on = missed == 0
+        total[on] += np.minimum((dz_m[on] / deviation_m[on]) ** 2, MOST_DEVIATIONS**2)
+        count += on
+    return float(np.mean(np.where(count > 0, total / np.maximum(count, 1), MOST_DEVIATIONS**2)))
+
+
+def repeats(image: DepthImage, other: DepthImage, captures: Sequence[DepthImage]) -> bool:
+    """Whether two images show the same view of an object, nearly as well as two captures of one pose do."""
+    problem = pose(image, other, None)
+    stay = np.eye(3)[None]
+    settled = descend(problem, Hypotheses(stay, problem.start(stay)), (*SETTLING, *SETTLING_FINE), SETTLING_POINTS)
+    if float(so3.angle(settled.R[0])) > STAYING_RAD:
+        return False
+    tolerance_m = TOLERANCE * size_m(captures[0].points())
+    off, missing = np.subtract(
+        _differing(image, other, settled.R[0], settled.t_m[0], tolerance_m),
+        _differing(captures[0], captures[1], np.eye(3), np.zeros(3), tolerance_m),
+    )
+    return bool(off < MORE_OFF and missing < MORE_MISSING)
+
+
+def _differing(
+    image: DepthImage,
+    other: DepthImage,
+    R: Float[np.ndarray, "3 3"],
+    t_m: Float[np.ndarray, "3"],
+    tolerance_m: float,
+) -> Float[np.ndarray, "2"]:
+    """Of both images the share of returns that are off by more than a tolerance (which grows where depth is steep),
+    and of those that the other does not show."""
+    shares = []
+    for one, view, turn, shift_m in ((image, View(other), R, t_m), (other, View(image), R.T, -R.T @ t_m)):
+        dz_m, missed = view.compare(one.points() @ turn.T + shift_m)
+        off = (missed == 0) & (np.abs(dz_m) > np.hypot(tolerance_m, _steep_m(one)))
+        shares.append((off.mean(), (missed > 0).mean()))
+    return np.mean(shares, axis=0)
+
+
+def _steep_m(image: DepthImage) -> Float[np.ndarray, " n"]:
+    """By how much depth changes over a pixel at each return, row by row."""
+    highest = ndimage.maximum_filter(np.where(image.valid, image.depth_m, -np.inf), 3)
+    lowest = ndimage.minimum_filter(np.where(image.valid, image.depth_m, np.inf), 3)
+    return (highest[image.valid] - lowest[image.valid]) / 2
 
 
 def half_turns(

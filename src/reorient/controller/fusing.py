@@ -6,8 +6,9 @@ weighed together as *candidates*. The strategy goes to the likeliest; there it l
 looks as like the object as the object looks like itself (``recognition``), averages, and makes the last small moves.
 What fails the check is a false arrival: it loses its weight, and its half turns about the axes of what is seen become
 candidates, as most false arrivals are half turns of nearly symmetric objects. Where such a half turn is contradicted
-by no capture, it is visited even from an arrival that leaves no doubt, and what matches better is taken: the one goal
-image is all that can tell them apart. Two that match equally end the loop at even odds, without a claim.
+by no capture, it is visited even from an arrival that leaves no doubt, and what matches better, depth by depth, is
+taken: the one goal image is all that can tell them apart. Where two match equally, a look from another side tells
+whether they are one orientation of a symmetric object; if not, the loop ends at even odds, without a claim.
 """
 
 from collections.abc import Sequence
@@ -26,8 +27,10 @@ from reorient.controller.memory import (
     Candidate,
     Stand,
     arrival_log_odds,
+    at,
     average,
     candidates,
+    is_symmetry,
     nearest,
     stands,
 )
@@ -35,7 +38,7 @@ from reorient.depth import DepthImage
 from reorient.errors import ReorientError
 
 FIRST_RAD = float(np.radians(1))  # from farther, the first capture of a place is reason enough to move
-MOST_LOOKS = 6  # captures of the last place
+MOST_LOOKS = 6  # captures of the last place, and of one that is compared with another
 STEADY_RAD = float(np.radians(0.09))  # the average's standard error that needs no more looks
 CLEARLY = 1.5  # standard errors
 EQUIVALENT = 0.9  # log odds below the likeliest candidate's: as good, and taken if nearer
@@ -100,6 +103,8 @@ class Fusing:
             choice = [x for x in choice if x.examined] or [x for x in choice if not x.guessed]
         best = _best(choice, here, reachable) if choice else None
         rival = _rival(best, found, seen, reachable) if best is not None and not last else None
+        if rival is not None and best is here and looks < MOST_LOOKS and looks_left > RESERVED + MOST_LOOKS:
+            return Decision("this may be the goal, but another orientation may, too: looks again, to compare them")
         if rival is not None:
             turn = f"{np.degrees(rival.angle_rad):.0f} degrees"
             why = "a half turn of it" if rival.guessed else f"another orientation ({rival.support:.0%} by one view)"
@@ -109,8 +114,15 @@ class Fusing:
         R_goal_now, error_rad = average(known, best.R_goal_now)
         angle_rad = float(so3.angle(R_goal_now))
         degrees = f"{np.degrees(angle_rad):.2f} degrees"
-        if looks_left > 0 and error_rad > STEADY_RAD and looks < MOST_LOOKS:
+        twins = [x for x in found if x.examined and x is not best and abs(x.log_weight - best.log_weight) < TIE]
+        compared = sum(len(stand.images) for stand in seen if stand.likeness is not None and at(best, stand))
+        if looks_left > 0 and ((error_rad > STEADY_RAD and looks < MOST_LOOKS) or (twins and compared < MOST_LOOKS)):
             return Decision(f"{degrees} seem left, give or take {np.degrees(error_rad):.2f}: looks again")
+        symmetric, R_elsewhere = _symmetric(twins, seen)
+        if symmetric is None and not last and reachable(R_elsewhere):
+            turn = f"{np.degrees(so3.angle(R_elsewhere)):.0f} degrees"
+            why = "another orientation matches as well; whether the object is symmetric shows from elsewhere"
+            return Decision(f"{why}: turns by {turn}", R_elsewhere)
         settled = angle_rad <= max(self.tolerance_rad, CLEARLY * error_rad)
         if not settled and moves_left > 0 and looks_left > 0:
             return Decision(f"{looks} looks agree on {degrees}: turns by them", R_goal_now)
@@ -118,13 +130,24 @@ class Fusing:
         if not settled:
             said += f"; no more {'moves' if moves_left <= 0 else 'images'} are allowed to turn by them"
         near = settled or angle_rad <= ENOUGH_RAD
-        ties = sum(x.examined and x is not best and abs(x.log_weight - best.log_weight) < TIE for x in found)
-        return _end(said, near, _within(angle_rad), seen[-1], ties)
+        if twins and symmetric:
+            said += "; another orientation matches as well, from every side that was seen: the object looks symmetric"
+        return _end(said, near, _within(angle_rad), seen[-1], 0 if symmetric else len(twins))
+
+
+def _symmetric(twins: Sequence[Candidate], seen: Sequence[Stand]) -> tuple[bool | None, Float[np.ndarray, "3 3"]]:
+    """Whether an arrival and all that match as well are one orientation of a symmetric object: None where that is not
+    known yet; then with the turn that helps to tell."""
+    for twin in twins:
+        symmetric, R_elsewhere = is_symmetry(twin, seen)
+        if not symmetric:
+            return symmetric, R_elsewhere
+    return True, np.eye(3)
 
 
 def _end(said: str, near: bool, within: float, here: Stand, ties: int) -> Decision:
     """The end, at an arrival: with a claim, if it is near enough and likelier right than not. ``ties``: how many other
-    orientations match as well, each of which is as likely."""
+    orientations match as well, though the object is not symmetric, each of which is as likely."""
     matches = float(1 / (1 + np.exp(-arrival_log_odds(here)))) / (1 + ties)
     sure = matches * within
     said += f"; {min(sure, 0.99):.0%} sure"
@@ -206,10 +229,10 @@ def _rival(
 ) -> Candidate | None:
     """What should be seen before the best is believed, if it has been examined: what views named, unless it leaves no
     doubt, then half turns of it that no capture contradicts, as sure as it may be."""
-    poses = [stand for stand in seen if _at(best, stand) and stand.likeness is not None]
+    poses = [stand for stand in seen if at(best, stand) and stand.likeness is not None]
     if not poses:
         return None
-    afar = [p for k, given in best.named.items() for p in given if not _at(best, seen[k])]
+    afar = [p for k, given in best.named.items() for p in given if not at(best, seen[k])]
     own = np.mean([stand.confidence for stand in poses])
     odds = np.mean([arrival_log_odds(stand) for stand in poses])
     sure = odds >= MATCHES or (odds > 0 and (own >= SURE_HERE or max(afar, default=1.0) >= SURE_FROM_AFAR))
@@ -221,8 +244,3 @@ def _rival(
         and reachable(x.R_goal_now)
     ]
     return max(rivals, key=lambda x: (x.support >= NAMED, -x.loss, x.support), default=None)
-
-
-def _at(candidate: Candidate, stand: Stand) -> bool:
-    """Whether a pose stands for a candidate."""
-    return float(so3.angle(candidate.R_goal_now @ stand.R_now_then)) <= NEAR_RAD

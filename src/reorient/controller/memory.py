@@ -15,7 +15,7 @@ from reorient import so3
 from reorient.controller.base import Step, rotations_since
 from reorient.depth import DepthImage
 from reorient.estimators.base import RotationEstimate
-from reorient.recognition import half_turns, likeness
+from reorient.recognition import half_turns, likeness, misfit, repeats
 
 NEAR_RAD = float(np.radians(8))  # so near, a pose stands for the candidate
 SAME_RAD = float(np.radians(15))  # claims so near each other are one candidate
@@ -24,6 +24,9 @@ LEAST, RIVALS = 0.02, 10  # a claim that is not named: its share, one in so many
 DENIED = -6.0  # log odds of a pose from which all estimates want to be off
 FAR_AGAINST = -4.0  # log odds, at the most, that views from elsewhere hold against a candidate: they err alike
 LEAST_AGAINST = -1.0  # the same, once it has been examined
+ELSEWHERE_RAD = float(np.radians(80))  # so far apart, views show other sides
+QUARTER = np.pi / 2 * np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
+OTHER_SIDES = so3.exp(np.concatenate([2 * QUARTER[::2], QUARTER]))
 DRIFT = 0.05  # radians of error that a claim may gain per radian turned
 SPREAD_RAD = float(np.radians(0.3))  # of one estimate near the goal
 
@@ -38,6 +41,8 @@ class Stand:
     """What has turned the object since."""
     likeness: float | None
     """Log odds that this pose is the goal's; None unless its estimates stay near it, and it was captured twice."""
+    misfit: float | None = None
+    """Where there is a likeness: what tells this pose from others that have one, too (``recognition.misfit``)."""
     half_turns: Sequence[tuple[Float[np.ndarray, "3 3"], float]] = ()
     """Where there is a likeness for the first time: turns that may lead to what looks the same, each with the agreement
     that it loses by the captures up to here."""
@@ -68,7 +73,7 @@ class Candidate:
     from_views: float = 0.0
     """Log odds that all views give it."""
     log_weight: float = 0.0
-    """The same, less extreme, and what standing there adds."""
+    """The same, less extreme, and what standing there adds; of those examined, what tells them from each other."""
 
     @property
     def support(self) -> float:
@@ -94,16 +99,20 @@ def stands(steps: Sequence[Step], goal: DepthImage) -> list[Stand]:
         images = tuple(steps[k].image for k in group)
         estimates = tuple(steps[k].estimate for k in group)
         near = float(np.median([nearest(estimate, np.eye(3))[1] for estimate in estimates])) <= NEAR_RAD
-        alike = _likeness(images, goal, estimates) if near and len(group) >= 2 else None
+        examined = near and len(group) >= 2
+        alike = _likeness(images, goal, estimates) if examined else None
+        off = _misfit(images, goal, estimates) if examined else None
         R_last = R_now_then[group[0]]
         before = tuple((stand.images[0], _plain(R_last.T @ stand.R_now_then)) for stand in found)
         known = [stand for stand in found if stand.half_turns and _same_pose(stand.R_now_then, R_last)]
         turns = () if alike is None or known else _half_turns(images[0], goal, before)
-        found.append(Stand(images, estimates, R_last, alike, turns))
+        found.append(Stand(images, estimates, R_last, alike, off, turns))
     return found
 
 
 _likeness = lru_cache(maxsize=64)(likeness)  # by identity: the same captures are asked about at every decision
+_misfit = lru_cache(maxsize=64)(misfit)
+_repeats = lru_cache(maxsize=64)(repeats)
 
 
 @lru_cache(maxsize=64)
@@ -155,13 +164,14 @@ def candidates(seen: Sequence[Stand]) -> list[Candidate]:
             candidate.from_views += float(np.mean(np.log(_given(candidate, seen, view))))
     most = max(candidate.from_views for candidate in found)
     for candidate in found:
-        visits = [s for s in seen if float(so3.angle(candidate.R_goal_now @ s.R_now_then)) <= NEAR_RAD]
+        visits = [stand for stand in seen if at(candidate, stand)]
         candidate.from_start_rad = float(so3.angle(candidate.R_goal_now @ seen[0].R_now_then))
         candidate.visits = len(visits)
         candidate.examined = any(stand.likeness is not None for stand in visits)
         against = LEAST_AGAINST if candidate.examined else FAR_AGAINST
         far = against if candidate.guessed else max(candidate.from_views - most, against)
         candidate.log_weight = far + _standing_there(visits)
+    _tell_apart([candidate for candidate in found if candidate.examined], seen)
     return sorted(found, key=lambda candidate: (-candidate.log_weight, -candidate.from_views))
 
 
@@ -174,6 +184,46 @@ def _standing_there(visits: Sequence[Stand]) -> float:
         return float(np.average(odds, weights=[len(stand.images) for stand in looked]))
     denied = [min(nearest(e, np.eye(3))[1] for e in stand.estimates) > NEAR_RAD for stand in visits]
     return DENIED if any(denied) else 0.0
+
+
+def _tell_apart(examined: Sequence[Candidate], seen: Sequence[Stand]) -> None:
+    """Weigh the candidates that were looked at twice against each other by how far depths are off at each: of two that
+    both fit, the share that fits says little. The likeliest so keeps the most that any had."""
+    if len(examined) < 2:
+        return
+    looked = [[s for s in seen if s.misfit is not None and at(candidate, s)] for candidate in examined]
+    captures = [sum(len(stand.images) for stand in stands_there) for stands_there in looked]
+    off = [float(np.average([s.misfit for s in there], weights=[len(s.images) for s in there])) for there in looked]
+    most, least = max(candidate.log_weight for candidate in examined), int(np.argmin(off))
+    for candidate, each, count in zip(examined, off, captures, strict=True):
+        candidate.log_weight = most - (each - off[least]) * min(count, captures[least])
+
+
+def at(candidate: Candidate, stand: Stand) -> bool:
+    """Whether a pose stands for a candidate."""
+    return float(so3.angle(candidate.R_goal_now @ stand.R_now_then)) <= NEAR_RAD
+
+
+def is_symmetry(twin: Candidate, seen: Sequence[Stand]) -> tuple[bool | None, Float[np.ndarray, "3 3"]]:
+    """Of an arrival and another orientation that matches the goal equally: whether what turns one into the other makes
+    views from elsewhere repeat, too, as a symmetry does and a likeness from one side does not. None where no two poses
+    tell yet; then with the turn from here to one that helps to."""
+    S = twin.R_goal_now
+    here = next(stand.images for stand in reversed(seen) if stand.likeness is not None)
+    elsewhere = [stand for stand in seen if _away_rad(stand.R_now_then.T, S) >= ELSEWHERE_RAD]
+    for stand in elsewhere:
+        for other in elsewhere:
+            if float(so3.angle(other.R_now_then @ stand.R_now_then.T @ S)) <= NEAR_RAD:
+                return _repeats(stand.images[0], other.images[0], here[:2]), np.eye(3)
+    if elsewhere:
+        return None, max((stand.R_now_then.T for stand in elsewhere), key=lambda R: _away_rad(R, S)) @ S
+    return None, max(OTHER_SIDES, key=lambda R: _away_rad(R, S))
+
+
+def _away_rad(R: Float[np.ndarray, "3 3"], S: Float[np.ndarray, "3 3"]) -> float:
+    """How far the view of a pose, by the turn to it from here, is from the view here and from that where S turns to;
+    turns about the optical axis show the same."""
+    return float(np.arccos(np.clip(max(R[2, 2], (R @ S.T)[2, 2]), -1, 1)))
 
 
 def arrival_log_odds(here: Stand) -> float:
