@@ -111,18 +111,33 @@ class Fusing:
             return Decision(f"what was found may be the goal, but {why} may, too: turns by {turn}", rival.R_goal_now)
         if best is None or best is not here:
             return _approach(best, min(moves_left, looks_left))
-        R_goal_now, error_rad = average(known, best.R_goal_now)
-        angle_rad = float(so3.angle(R_goal_now))
-        degrees = f"{np.degrees(angle_rad):.2f} degrees"
         twins = [x for x in found if x.examined and x is not best and abs(x.log_weight - best.log_weight) < TIE]
         compared = sum(len(stand.images) for stand in seen if stand.likeness is not None and at(best, stand))
-        if looks_left > 0 and ((error_rad > STEADY_RAD and looks < MOST_LOOKS) or (twins and compared < MOST_LOOKS)):
-            return Decision(f"{degrees} seem left, give or take {np.degrees(error_rad):.2f}: looks again")
+        if twins and compared < MOST_LOOKS and looks_left > 0:
+            return Decision("another orientation matches as well: looks again, to compare them")
         symmetric, R_elsewhere = _symmetric(twins, seen)
         if symmetric is None and not last and reachable(R_elsewhere):
             turn = f"{np.degrees(so3.angle(R_elsewhere)):.0f} degrees"
             why = "another orientation matches as well; whether the object is symmetric shows from elsewhere"
             return Decision(f"{why}: turns by {turn}", R_elsewhere)
+        return self._finish(known, best, seen[-1], moves_left, looks_left, twins, symmetric)
+
+    def _finish(
+        self,
+        known: Sequence[Step],
+        best: Candidate,
+        here: Stand,
+        moves_left: int,
+        looks_left: int,
+        twins: Sequence[Candidate],
+        symmetric: bool | None,
+    ) -> Decision:
+        """At what is taken for the goal: look until the average is steady, make the last small move, or end."""
+        R_goal_now, error_rad = average(known, best.R_goal_now)
+        angle_rad = float(so3.angle(R_goal_now))
+        degrees, looks = f"{np.degrees(angle_rad):.2f} degrees", len(here.images)
+        if looks_left > 0 and error_rad > STEADY_RAD and looks < MOST_LOOKS:
+            return Decision(f"{degrees} seem left, give or take {np.degrees(error_rad):.2f}: looks again")
         settled = angle_rad <= max(self.tolerance_rad, CLEARLY * error_rad)
         if not settled and moves_left > 0 and looks_left > 0:
             return Decision(f"{looks} looks agree on {degrees}: turns by them", R_goal_now)
@@ -130,9 +145,7 @@ class Fusing:
         if not settled:
             said += f"; no more {'moves' if moves_left <= 0 else 'images'} are allowed to turn by them"
         near = settled or angle_rad <= ENOUGH_RAD
-        if twins and symmetric:
-            said += "; another orientation matches as well, from every side that was seen: the object looks symmetric"
-        return _end(said, near, _within(angle_rad), seen[-1], 0 if symmetric else len(twins))
+        return _end(said, near, _within(angle_rad), here, len(twins), symmetric)
 
 
 def _symmetric(twins: Sequence[Candidate], seen: Sequence[Stand]) -> tuple[bool | None, Float[np.ndarray, "3 3"]]:
@@ -145,14 +158,21 @@ def _symmetric(twins: Sequence[Candidate], seen: Sequence[Stand]) -> tuple[bool 
     return True, np.eye(3)
 
 
-def _end(said: str, near: bool, within: float, here: Stand, ties: int) -> Decision:
-    """The end, at an arrival: with a claim, if it is near enough and likelier right than not. ``ties``: how many other
-    orientations match as well, though the object is not symmetric, each of which is as likely."""
-    matches = float(1 / (1 + np.exp(-arrival_log_odds(here)))) / (1 + ties)
+def _end(said: str, near: bool, within: float, here: Stand, twins: int, symmetric: bool | None) -> Decision:
+    """The end, at an arrival: with a claim, if it is near enough and likelier right than not. ``twins``: how many other
+    orientations match as well, each of which is as likely, unless all are one by symmetry."""
+    matches = float(1 / (1 + np.exp(-arrival_log_odds(here)))) / (1 if symmetric else 1 + twins)
     sure = matches * within
     said += f"; {min(sure, 0.99):.0%} sure"
-    if ties:
-        said += "; another orientation matches as well"
+    if twins:
+        said += (
+            "; another orientation matches as well, "
+            + {
+                True: "and from another side, too: the object looks symmetric",
+                False: "but not from another side: only one of them is the goal's",
+                None: "and no other side was seen to tell whether the object is symmetric",
+            }[symmetric]
+        )
     elif matches < LEAST_SURE:
         said += "; nothing that was tried surely matches the goal, and this is the likeliest"
     return Decision(said, None, True, near and sure >= LEAST_SURE, sure)
