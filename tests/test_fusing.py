@@ -340,6 +340,23 @@ def test_a_move_that_hides_the_object_is_taken_back_and_the_next_candidate_tried
     assert any("it was taken back" in fault for fault in result.faults)
 
 
+class OneSided(Hiding):
+    """A station that shows one side of the object only."""
+
+    def hides(self):
+        return float((self.station.R_camera_object @ self.R_hidden.T)[2, 2]) < 0.5
+
+
+def test_where_other_sides_cannot_be_seen_equal_orientations_are_announced():
+    mesh, flip = lying_box()
+    station, goal, R_goal = cell(mesh, seed=3, noise_m=0.001)
+    station.R_camera_object = so3.exp(np.array([0.5, 0.2, 0.3])) @ flip @ R_goal
+    result = orient(OneSided(station, R_goal), goal, Oracle(station, R_goal, flip=flip), Fusing(), limits=NOW)
+    assert sum(step.undone for step in result.steps) == 1
+    assert not result.converged
+    assert "no other side was seen" in result.reason
+
+
 @pytest.mark.parametrize(
     ("strategy", "limits", "turns_back"),
     [

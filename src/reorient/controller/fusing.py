@@ -90,7 +90,7 @@ class Fusing:
         """Examine an arrival, go on to the likeliest candidate, see a rival, make the last small move, or end."""
         known = known_part(steps)
         seen = stands(known, goal)
-        found = [x for x in candidates(seen) if not _hides(x, known)]
+        found = [x for x in candidates(seen) if not _hides(x.R_goal_now, known)]
         moves_left = self.most_moves - sum((step.R_step is not None) + step.undone for step in steps)
         looks_left = self.max_steps - len(steps)
         here = _here(found, seen[-1])
@@ -116,7 +116,7 @@ class Fusing:
         if twins and compared < MOST_LOOKS and looks_left > 0:
             return Decision("another orientation matches as well: looks again, to compare them")
         symmetric, R_elsewhere = _symmetric(twins, seen)
-        if symmetric is None and not last and reachable(R_elsewhere):
+        if symmetric is None and not last and reachable(R_elsewhere) and not _hides(R_elsewhere, known):
             turn = f"{np.degrees(so3.angle(R_elsewhere)):.0f} degrees"
             why = "another orientation matches as well; whether the object is symmetric shows from elsewhere"
             return Decision(f"{why}: turns by {turn}", R_elsewhere)
@@ -183,12 +183,12 @@ def _within(left_rad: float) -> float:
     return 0.5 * erfc((left_rad - RIGHT_RAD) / ERR_RAD / sqrt(2))
 
 
-def _hides(candidate: Candidate, known: Sequence[Step]) -> bool:
-    """Whether a move to it was taken back, as nothing could be seen there."""
+def _hides(R_step: Float[np.ndarray, "3 3"], known: Sequence[Step]) -> bool:
+    """Whether a move to where this one leads was taken back, as nothing could be seen there."""
     return any(
         step.undone
         and step.R_step is not None
-        and float(so3.angle_difference(candidate.R_goal_now @ R_now_then, step.R_step))
+        and float(so3.angle_difference(R_step @ R_now_then, step.R_step))
         <= min(SAME_RAD, float(so3.angle(step.R_step)) / 2)
         for step, R_now_then in zip(known, rotations_since(known), strict=True)
     )
