@@ -344,7 +344,7 @@ class OneSided(Hiding):
     """A station that shows one side of the object only."""
 
     def hides(self):
-        return float((self.station.R_camera_object @ self.R_hidden.T)[2, 2]) < 0.5
+        return float((self.station.R_camera_object @ self.R_hidden.T)[2, 2]) < -0.2
 
 
 def test_where_other_sides_cannot_be_seen_equal_orientations_are_announced():
