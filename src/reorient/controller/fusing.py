@@ -44,10 +44,9 @@ CLEARLY = 1.5  # standard errors
 EQUIVALENT = 0.9  # log odds below the likeliest candidate's: as good, and taken if nearer
 BETTER = 0.5  # log odds by which an examined pose must beat the present one to be returned to
 SMALL_RAD = float(np.radians(60))  # between start and goal; of uniform starts one in 17 is so near
-TIE = 2.0  # log odds by which an examined pose must beat another: less is noise, and no better than even odds
+TIE = 3.0  # log odds by which an examined pose must beat another: less is noise, and no better than even odds
 SURE_FROM_AFAR = 0.95  # what a view from elsewhere gives, so that no rival need be seen
-SURE_HERE = 0.985  # what the arrival itself gives, to the same end
-MATCHES = 5.5  # log odds of an arrival, to the same end: more than false ones had
+MATCHES = 6.5  # log odds of an arrival, to the same end: one in ten right ones has less
 NAMED = 0.2  # what makes an alternative a rival
 ALIKE = 0.3  # agreement that a half turn may lose and still be one: those from false arrivals to the goal lost 0.26
 HARDLY_ALIKE = 0.6  # the same for an arrival in doubt
@@ -253,9 +252,8 @@ def _rival(
     if not poses:
         return None
     afar = [p for k, given in best.named.items() for p in given if not at(best, seen[k])]
-    own = np.mean([stand.confidence for stand in poses])
     odds = np.mean([arrival_log_odds(stand) for stand in poses])
-    sure = odds >= MATCHES or (odds > 0 and (own >= SURE_HERE or max(afar, default=1.0) >= SURE_FROM_AFAR))
+    sure = odds >= MATCHES or (odds > 0 and max(afar, default=1.0) >= SURE_FROM_AFAR)
     rivals = [
         x
         for x in found
