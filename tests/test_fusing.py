@@ -354,7 +354,7 @@ def test_where_other_sides_cannot_be_seen_equal_orientations_are_announced():
     result = orient(OneSided(station, R_goal), goal, Oracle(station, R_goal, flip=flip), Fusing(), limits=NOW)
     assert sum(step.undone for step in result.steps) == 1
     assert not result.converged
-    assert "no other side was seen" in result.reason
+    assert "no two other sides were seen" in result.reason
 
 
 @pytest.mark.parametrize(

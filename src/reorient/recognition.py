@@ -9,7 +9,7 @@ adds up how far each depth is off in units of the noise, and so sees differences
 """
 
 from collections.abc import Sequence
-from itertools import combinations, pairwise, permutations
+from itertools import pairwise, permutations
 
 import numpy as np
 from jaxtyping import Float
@@ -36,6 +36,7 @@ STAYING_RAD = float(np.radians(15))
 MOST_DEVIATIONS = 3.0  # that one depth counts as
 SHIFT_PX = 0.6  # by which views may be misaligned: where depth is steep over pixels it says less
 LEAST_NOISE = 0.001  # of depth, in sizes
+MOST_TELLING = 6000  # returns that count: finer images show the same errors of alignment more often
 PER_NAT = 370.0  # summed squares that are as telling as one nat: neighbours err alike, and alignment errs, too
 ALIGNED_COS = np.cos(np.radians(20))
 SETTLING = (0.06, 0.05, 0.04, 0.03, 0.025, 0.02, 0.015, 0.012, 0.012)  # tolerances of the steps of a guess, in sizes
@@ -65,24 +66,35 @@ def misfit(captures: Sequence[DepthImage], goal: DepthImage, estimates: Sequence
     """How far the depths of a pose's captures (two or more) and of the goal are from each other, in nats a capture.
 
     What one pose has less than another, times the captures that each of them has, is how much likelier the goal shows
-    it: the log of their odds. An estimate from which this is not the pose is left out.
+    it: the log of their odds. In place of an estimate from which this is not the pose another one's motion is taken.
     """
     target = View(goal, POINTS)
-    noise_m = max(_noise_m(captures), LEAST_NOISE * size_m(target.all_points_m))
     views = [View(image, POINTS) for image in captures]
-    stay = (np.eye(3), np.zeros(3))
+    noise_m = max(_noise_m(captures, views), LEAST_NOISE * size_m(target.all_points_m))
     motions = [(x.R_goal_current, x.t_goal_current_m) for x in estimates]
-    near = [motion for motion in motions if float(so3.angle(motion[0])) <= STAYING_RAD] or [stay]
+    near = [motion for motion in motions if float(so3.angle(motion[0])) <= STAYING_RAD] or [_settled(captures[0], goal)]
     motions = [motion if float(so3.angle(motion[0])) <= STAYING_RAD else near[0] for motion in motions]
     shown = _squares(goal, views, [(R.T, -R.T @ t_m) for R, t_m in motions], noise_m)
     seen = [_squares(image, [target], [motion], noise_m) for image, motion in zip(captures, motions, strict=True)]
-    return float(len(target.all_points_m) * (shown + np.mean(seen)) / 2 / PER_NAT)
+    return float(min(len(target.all_points_m), MOST_TELLING) * (shown + np.mean(seen)) / 2 / PER_NAT)
 
 
-def _noise_m(captures: Sequence[DepthImage]) -> float:
+def _settled(image: DepthImage, other: DepthImage) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
+    """The small motion that takes one image to another of nearly the same pose."""
+    problem = pose(image, other, None)
+    stay = np.eye(3)[None]
+    settled = descend(problem, Hypotheses(stay, problem.start(stay)), (*SETTLING, *SETTLING_FINE), SETTLING_POINTS)
+    return settled.R[0], settled.t_m[0]
+
+
+def _noise_m(captures: Sequence[DepthImage], views: Sequence[View]) -> float:
     """Standard deviation of one capture's depths, from pairs of captures of one pose."""
-    differences = [np.abs(a.depth_m - b.depth_m)[a.valid & b.valid] for a, b in combinations(captures, 2)]
-    return float(np.mean([np.median(x) if x.size else 0.0 for x in differences]) / 0.6745 / np.sqrt(2))
+    deviations = []
+    for image, view in zip(captures, views[1:], strict=False):
+        dz_m, missed = view.compare(image.points())
+        if np.any(missed == 0):
+            deviations.append(np.median(np.abs(dz_m[missed == 0])) / 0.6745 / np.sqrt(2))
+    return float(np.mean(deviations)) if deviations else 0.0
 
 
 def _squares(
@@ -103,14 +115,12 @@ def _squares(
 
 def repeats(image: DepthImage, other: DepthImage, captures: Sequence[DepthImage]) -> bool:
     """Whether two images show the same view of an object, nearly as well as two captures of one pose do."""
-    problem = pose(image, other, None)
-    stay = np.eye(3)[None]
-    settled = descend(problem, Hypotheses(stay, problem.start(stay)), (*SETTLING, *SETTLING_FINE), SETTLING_POINTS)
-    if float(so3.angle(settled.R[0])) > STAYING_RAD:
+    R, t_m = _settled(image, other)
+    if float(so3.angle(R)) > STAYING_RAD:
         return False
     tolerance_m = TOLERANCE * size_m(captures[0].points())
     off, missing = np.subtract(
-        _differing(image, other, settled.R[0], settled.t_m[0], tolerance_m),
+        _differing(image, other, R, t_m, tolerance_m),
         _differing(captures[0], captures[1], np.eye(3), np.zeros(3), tolerance_m),
     )
     return bool(off < MORE_OFF and missing < MORE_MISSING)

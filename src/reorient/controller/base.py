@@ -67,8 +67,8 @@ class OrientResult:
     reason: str
     """Why it ended, in words."""
     confidence: float | None = None
-    """How likely the object is now within 5 degrees of the goal; below one half where another orientation was seen to
-    match as well; None where not known."""
+    """How likely the object is now within 5 degrees of the goal; at most one half where another orientation was seen
+    to match as well, unless the object looks symmetric; None where not known."""
     faults: tuple[str, ...] = ()
     """What went wrong on the way, in words."""
 

@@ -108,13 +108,15 @@ class Fusing:
             turn = f"{np.degrees(rival.angle_rad):.0f} degrees"
             why = "a half turn of it" if rival.guessed else f"another orientation ({rival.support:.0%} by one view)"
             return Decision(f"what was found may be the goal, but {why} may, too: turns by {turn}", rival.R_goal_now)
+        if not last and looks < MOST_LOOKS and _equal(here, best):
+            return Decision("this may be the goal, but what was seen before may, too: looks again, to compare them")
         if best is None or best is not here:
             return _approach(best, min(moves_left, looks_left))
-        twins = [x for x in found if x.examined and x is not best and abs(x.log_weight - best.log_weight) < TIE]
+        twins = [x for x in found if _equal(x, best)]
         compared = sum(len(stand.images) for stand in seen if stand.likeness is not None and at(best, stand))
-        if twins and compared < MOST_LOOKS and looks_left > 0:
+        if twins and max(compared, looks) < MOST_LOOKS and looks_left > 0:
             return Decision("another orientation matches as well: looks again, to compare them")
-        symmetric, R_elsewhere = _symmetric(twins, seen)
+        symmetric, R_elsewhere = _symmetric(best, twins, seen)
         if symmetric is None and not last and reachable(R_elsewhere) and not _hides(R_elsewhere, known):
             turn = f"{np.degrees(so3.angle(R_elsewhere)):.0f} degrees"
             why = "another orientation matches as well; whether the object is symmetric shows from elsewhere"
@@ -147,13 +149,23 @@ class Fusing:
         return _end(said, near, _within(angle_rad), here, len(twins), symmetric)
 
 
-def _symmetric(twins: Sequence[Candidate], seen: Sequence[Stand]) -> tuple[bool | None, Float[np.ndarray, "3 3"]]:
+def _equal(one: Candidate | None, other: Candidate | None) -> bool:
+    """Whether two different orientations that were examined match the goal equally, but for noise."""
+    if one is None or other is None or one is other:
+        return False
+    return one.examined and other.examined and abs(one.log_weight - other.log_weight) < TIE
+
+
+def _symmetric(
+    best: Candidate, twins: Sequence[Candidate], seen: Sequence[Stand]
+) -> tuple[bool | None, Float[np.ndarray, "3 3"]]:
     """Whether an arrival and all that match as well are one orientation of a symmetric object: None where that is not
     known yet; then with the turn that helps to tell."""
-    for twin in twins:
-        symmetric, R_elsewhere = is_symmetry(twin, seen)
-        if not symmetric:
-            return symmetric, R_elsewhere
+    known = [is_symmetry(best, twin, seen) for twin in twins]
+    for said in (False, None):  # one that is none is enough
+        for symmetric, R_elsewhere in known:
+            if symmetric is said:
+                return symmetric, R_elsewhere
     return True, np.eye(3)
 
 
@@ -169,7 +181,7 @@ def _end(said: str, near: bool, within: float, here: Stand, twins: int, symmetri
             + {
                 True: "and from another side, too: the object looks symmetric",
                 False: "but not from another side: only one of them is the goal's",
-                None: "and no other side was seen to tell whether the object is symmetric",
+                None: "and no two other sides were seen to tell whether the object is symmetric",
             }[symmetric]
         )
     elif matches < LEAST_SURE:

@@ -24,6 +24,7 @@ LEAST, RIVALS = 0.02, 10  # a claim that is not named: its share, one in so many
 DENIED = -6.0  # log odds of a pose from which all estimates want to be off
 FAR_AGAINST = -4.0  # log odds, at the most, that views from elsewhere hold against a candidate: they err alike
 LEAST_AGAINST = -1.0  # the same, once it has been examined
+COUNTED = 4  # captures of a pose: more make the misfit steadier, but err alike with the one goal image
 ELSEWHERE_RAD = float(np.radians(80))  # so far apart, views show other sides
 QUARTER = np.pi / 2 * np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
 OTHER_SIDES = so3.exp(np.concatenate([2 * QUARTER[::2], QUARTER]))
@@ -196,7 +197,7 @@ def _tell_apart(examined: Sequence[Candidate], seen: Sequence[Stand]) -> None:
     off = [float(np.average([s.misfit for s in there], weights=[len(s.images) for s in there])) for there in looked]
     most, least = max(candidate.log_weight for candidate in examined), int(np.argmin(off))
     for candidate, each, count in zip(examined, off, captures, strict=True):
-        candidate.log_weight = most - (each - off[least]) * min(count, captures[least])
+        candidate.log_weight = most - (each - off[least]) * min(count, captures[least], COUNTED)
 
 
 def at(candidate: Candidate, stand: Stand) -> bool:
@@ -204,16 +205,18 @@ def at(candidate: Candidate, stand: Stand) -> bool:
     return float(so3.angle(candidate.R_goal_now @ stand.R_now_then)) <= NEAR_RAD
 
 
-def is_symmetry(twin: Candidate, seen: Sequence[Stand]) -> tuple[bool | None, Float[np.ndarray, "3 3"]]:
+def is_symmetry(
+    best: Candidate, twin: Candidate, seen: Sequence[Stand]
+) -> tuple[bool | None, Float[np.ndarray, "3 3"]]:
     """Of an arrival and another orientation that matches the goal equally: whether what turns one into the other makes
     views from elsewhere repeat, too, as a symmetry does and a likeness from one side does not. None where no two poses
     tell yet; then with the turn from here to one that helps to."""
-    S = twin.R_goal_now
+    S = best.R_goal_now.T @ twin.R_goal_now
     here = next(stand.images for stand in reversed(seen) if stand.likeness is not None)
     elsewhere = [stand for stand in seen if _away_rad(stand.R_now_then.T, S) >= ELSEWHERE_RAD]
     for stand in elsewhere:
-        for other in elsewhere:
-            if float(so3.angle(other.R_now_then @ stand.R_now_then.T @ S)) <= NEAR_RAD:
+        for other in seen:
+            if other is not stand and float(so3.angle(other.R_now_then @ stand.R_now_then.T @ S)) <= NEAR_RAD:
                 return _repeats(stand.images[0], other.images[0], here[:2]), np.eye(3)
     if elsewhere:
         return None, max((stand.R_now_then.T for stand in elsewhere), key=lambda R: _away_rad(R, S)) @ S
