@@ -9,7 +9,7 @@ import trimesh
 from reorient import Fusing, Limits, Proportional, StationError, load_estimator, orient, so3
 from reorient.controller.base import Step
 from reorient.controller.limits import nearest_reachable
-from reorient.controller.memory import average, candidates, stands
+from reorient.controller.memory import Candidate, Stand, average, candidates, is_symmetry, stands
 from reorient.errors import ReorientError
 from reorient.estimators.base import RotationEstimate
 from reorient.estimators.evidence import Evidence
@@ -183,6 +183,32 @@ def test_small_differences_add_up_to_tell_two_poses_apart():
     assert 3 * (off[1] - off[0]) > 2
 
 
+def test_misfit_is_least_under_the_true_motion(mesh):
+    station, goal, R_goal = cell(mesh, seed=3, noise_m=0.001)
+    left, center = so3.exp(np.array([0.02, -0.05, 0.04])), station.placement.center_m
+    station.R_camera_object = left.T @ R_goal
+    captures = [station.capture(), station.capture()]
+    true, inverse, none = (
+        misfit(captures, goal, [RotationEstimate(R, center - R @ center, SEEN)] * 2) for R in (left, left.T, np.eye(3))
+    )
+    assert true < none < inverse
+
+
+def test_of_two_poses_that_match_the_one_with_less_misfit_is_the_likelier(mesh):
+    image = cell(mesh)[0].capture()
+    flip = so3.exp(np.array([np.pi, 0, 0]))
+    still = RotationEstimate(np.eye(3), np.zeros(3), SEEN, 0.9)
+    for misfits, nearer in (((3.0, 5.0), flip), ((5.0, 3.0), np.eye(3))):
+        seen = [
+            Stand((image, image), (still, still), R_now_then, likeness, off)
+            for R_now_then, likeness, off in zip((flip, np.eye(3)), (2.0, 3.0), misfits, strict=True)
+        ]
+        best, other = candidates(seen)
+        assert float(so3.angle_difference(best.R_goal_now, nearer)) < 1e-6
+        assert best.log_weight == pytest.approx(np.log(9) + 3)  # the most that either arrival had
+        assert best.log_weight - other.log_weight == pytest.approx(2 * 2)  # captures of each times the difference
+
+
 def test_a_view_repeats_where_the_object_is_symmetric():
     for knob, symmetric in ((0.0, True), (0.15, False)):
         mesh, flip = lying_box(knob)
@@ -194,6 +220,24 @@ def test_a_view_repeats_where_the_object_is_symmetric():
             station.R_camera_object = R
             views.append(station.capture())
         assert repeats(*views, captures) == symmetric
+
+
+@pytest.mark.parametrize(
+    ("body", "symmetric"), [(trimesh.creation.cylinder(radius=0.5, height=0.8, sections=3), True), (BOX, False)]
+)
+def test_a_third_of_a_turn_is_a_symmetry_of_a_prism_and_not_of_a_box(body, symmetric):
+    """No half turn: the order and the direction of the turns count."""
+    station, _, R_goal = cell(body, seed=3, noise_m=0.001)
+    third = so3.exp(2 * np.pi / 3 * R_goal[:, 2])
+    station.R_camera_object = R_goal
+    still = RotationEstimate(np.eye(3), np.zeros(3), SEEN)
+    seen = [Stand((station.capture(), station.capture()), (still, still), np.eye(3), 1.0)]
+    for _ in range(2):
+        said, R_elsewhere = is_symmetry(Candidate(np.eye(3)), Candidate(third), seen)
+        assert said is None
+        station.R_camera_object = R_elsewhere @ R_goal
+        seen.insert(0, Stand((station.capture(),), (still,), R_elsewhere.T, None))
+    assert is_symmetry(Candidate(np.eye(3)), Candidate(third), seen)[0] == symmetric
 
 
 def test_upright_axes_of_a_box_are_its_own():
