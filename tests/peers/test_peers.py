@@ -42,7 +42,8 @@ def test_finds_the_rotation_or_says_what_is_missing(name, pair):
     assert estimate.evidence.fit > 0.5
     assert estimate.confidence is None
     again = PEERS[name].estimate(pair.current, pair.goal)
-    assert np.array_equal(again.R_goal_current, estimate.R_goal_current)  # nor does the pivot change anything
+    # nor does the pivot change anything; some peers' threads add up in any order, so the last digits differ
+    assert so3.angle_difference(again.R_goal_current, estimate.R_goal_current) < 1e-6
 
 
 def test_of_many_starts_the_best_is_kept(pair):
