@@ -13,7 +13,7 @@ from reorient.controller.memory import Candidate, Stand, average, candidates, is
 from reorient.errors import ReorientError
 from reorient.estimators.base import RotationEstimate
 from reorient.estimators.evidence import Evidence
-from reorient.recognition import half_turns, likeness, misfit, repeats, upright_axes
+from reorient.recognition import half_turns, likeness, looseness_rad, misfit, repeats, upright_axes
 from reorient.rendering import load_world
 from reorient.sensing import randomised
 from reorient.stations.faulty import FaultyStation
@@ -28,9 +28,9 @@ class Oracle:
     """Knows the truth but for ``error_rad``; where ``flip`` is given, it takes that for the goal's orientation as often
     as it is nearer to it."""
 
-    def __init__(self, station, R_goal, error_rad=0.0, flip=None, confidence=0.97):
+    def __init__(self, station, R_goal, error_rad=0.0, flip=None, confidence=0.97, covariance_rad2=None):
         self.station, self.R_goal, self.error_rad, self.confidence = station, R_goal, error_rad, confidence
-        self.flip = flip
+        self.flip, self.covariance_rad2 = flip, covariance_rad2
         self.rng = np.random.default_rng(0)
         self.histories = []
 
@@ -44,7 +44,7 @@ class Oracle:
             R = min((R, other), key=lambda x: float(so3.angle(x)))
         R = so3.exp(self.rng.normal(0, self.error_rad, 3)) @ R
         center = self.station.placement.center_m
-        return RotationEstimate(R, center - R @ center, SEEN, confidence=self.confidence)
+        return RotationEstimate(R, center - R @ center, SEEN, self.confidence, covariance_rad2=self.covariance_rad2)
 
 
 class Always:
@@ -238,6 +238,35 @@ def test_a_third_of_a_turn_is_a_symmetry_of_a_prism_and_not_of_a_box(body, symme
         station.R_camera_object = R_elsewhere @ R_goal
         seen.insert(0, Stand((station.capture(),), (still,), R_elsewhere.T, None))
     assert is_symmetry(Candidate(np.eye(3)), Candidate(third), seen)[0] == symmetric
+
+
+THIN = trimesh.creation.box((0.08, 0.08, 1.0))
+ROUND = trimesh.creation.cylinder(radius=0.15, height=1.0, sections=64)
+
+
+@pytest.mark.parametrize(("body", "loose"), [(THIN, True), (ROUND, False), (BOX, False)])
+def test_turns_of_a_thin_rod_hardly_show_and_those_of_a_round_one_do_not_matter(body, loose):
+    station, goal, R_goal = cell(body, seed=3, noise_m=0.001)
+    station.R_camera_object = R_goal
+    captures = [station.capture(), station.capture()]
+    estimates = [load_estimator("default").estimate(image, goal) for image in captures]
+    error_deg = np.degrees([np.sqrt(np.linalg.eigvalsh(x.covariance_rad2)[-1]) for x in estimates])
+    assert (error_deg.min() > 1) == (body is not BOX)  # the curvature does not tell rod from cylinder
+    looseness_deg = np.degrees(looseness_rad(captures, goal, estimates))
+    assert (error_deg.min() <= looseness_deg <= error_deg.max()) if loose else looseness_deg == 0
+    assert looseness_rad(captures, goal, [replace(x, covariance_rad2=None) for x in estimates]) == 0
+
+
+def test_no_claim_where_the_shape_hardly_tells_small_turns(mesh):
+    """The same loop, with an estimator that says how well the shape tells them."""
+    ends = []
+    for error_rad in (0.005, 0.03):
+        station, goal, R_goal = cell(mesh, 20.0)
+        oracle = Oracle(station, R_goal, covariance_rad2=np.diag([error_rad, 0.001, 0.001]) ** 2)
+        result = orient(station, goal, oracle, Fusing(), limits=NOW)
+        assert left_deg(station, R_goal) < 0.1
+        ends.append((result.converged, "only to 1.7 degrees" in result.reason))
+    assert ends == [(True, False), (False, True)]
 
 
 def test_upright_axes_of_a_box_are_its_own():

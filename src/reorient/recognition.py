@@ -5,7 +5,8 @@ them by more, it shows another side of the object: a false arrival, such as the 
 its front. So the object is its own yardstick, whatever the camera's noise and the object's shape are.
 
 ``likeness`` says that of one pose, by the share that fits. Between two poses that both fit, ``misfit`` decides, which
-adds up how far each depth is off in units of the noise, and so sees differences that no single pixel shows.
+adds up how far each depth is off in units of the noise, and so sees differences that no single pixel shows. Of a pose
+that is right, ``looseness_rad`` says how well the shape tells small turns.
 """
 
 from collections.abc import Sequence
@@ -43,6 +44,12 @@ SETTLING = (0.06, 0.05, 0.04, 0.03, 0.025, 0.02, 0.015, 0.012, 0.012)  # toleran
 SETTLING_FINE = (0.01, 0.008, 0.006)
 SETTLING_POINTS = 600
 MORE_OFF, MORE_MISSING = 0.03, 0.1  # shares by which a repeated view may differ more than two captures do
+LOOSE_RAD = float(np.radians(0.85))  # standard error: with less, next to no final error is above 1 degree
+ASIDE_RAD = float(np.radians(20))  # a turn about the loosest axis, either way, to see whether it shows
+FREE_RAD, FREE_LOSS = (
+    float(np.radians(20)),
+    0.1,
+)  # between the two, settled; agreement: unless they slide back or lose more
 
 
 def likeness(captures: Sequence[DepthImage], goal: DepthImage, estimates: Sequence[RotationEstimate]) -> float:
@@ -77,6 +84,27 @@ def misfit(captures: Sequence[DepthImage], goal: DepthImage, estimates: Sequence
     shown = _squares(goal, views, [(R.T, -R.T @ t_m) for R, t_m in motions], noise_m)
     seen = [_squares(image, [target], [motion], noise_m) for image, motion in zip(captures, motions, strict=True)]
     return float(min(len(target.all_points_m), MOST_TELLING) * (shown + np.mean(seen)) / 2 / PER_NAT)
+
+
+def looseness_rad(captures: Sequence[DepthImage], goal: DepthImage, estimates: Sequence[RotationEstimate]) -> float:
+    """Of a pose that may be the goal's: the standard error about the axis that its shape tells worst, by the estimates'
+    own covariance. Zero if it is small, if no estimate has one, and where the goal shows the same whatever the turn
+    about that axis, as for a body of revolution."""
+    told = [np.linalg.eigh(x.covariance_rad2) for x in estimates if x.covariance_rad2 is not None]
+    if not told:
+        return 0.0
+    variances, axes = sorted(told, key=lambda x: float(x[0][-1]))[len(told) // 2]
+    error_rad = float(np.sqrt(variances[-1]))
+    return 0.0 if error_rad <= LOOSE_RAD or _turns_freely(captures[-1], goal, axes[:, -1]) else error_rad
+
+
+def _turns_freely(capture: DepthImage, goal: DepthImage, axis: Float[np.ndarray, "3"]) -> bool:
+    """Whether a capture of the goal's pose, turned about an axis either way, stays turned and matches as well."""
+    problem = pose(capture, goal, None)
+    R = so3.exp(np.array([[0.0], [ASIDE_RAD], [-ASIDE_RAD]]) * axis)
+    settled = descend(problem, Hypotheses(R, problem.start(R)), SETTLING, SETTLING_POINTS)
+    agreement, turned = problem.agreement(settled, TOLERANCE, POINTS), so3.log(settled.R) @ axis
+    return bool(turned[1] - turned[2] >= FREE_RAD and agreement[0] - agreement[1:].min() <= FREE_LOSS)
 
 
 def _settled(image: DepthImage, other: DepthImage) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:

@@ -63,7 +63,7 @@ class OrientResult:
 
     steps: tuple[Step, ...]
     converged: bool
-    """Whether the strategy's own tolerance was met."""
+    """Whether the strategy's own tolerance was met, as far as the shape of what is seen tells."""
     reason: str
     """Why it ended, in words."""
     confidence: float | None = None

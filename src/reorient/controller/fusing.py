@@ -170,8 +170,9 @@ def _symmetric(
 
 
 def _end(said: str, near: bool, within: float, here: Stand, twins: int, symmetric: bool | None) -> Decision:
-    """The end, at an arrival: with a claim, if it is near enough and likelier right than not. ``twins``: how many other
-    orientations match as well, each of which is as likely, unless all are one by symmetry."""
+    """The end, at an arrival: with a claim, if it is near enough, as far as the shape tells, and likelier right than
+    not. ``twins``: how many other orientations match as well, each of which is as likely, unless all are one by
+    symmetry."""
     matches = float(1 / (1 + np.exp(-arrival_log_odds(here)))) / (1 if symmetric else 1 + twins)
     sure = matches * within
     said += f"; {min(sure, 0.99):.0%} sure"
@@ -186,7 +187,9 @@ def _end(said: str, near: bool, within: float, here: Stand, twins: int, symmetri
         )
     elif matches < LEAST_SURE:
         said += "; nothing that was tried surely matches the goal, and this is the likeliest"
-    return Decision(said, None, True, near and sure >= LEAST_SURE, sure)
+    if here.looseness_rad:
+        said += f"; but the shape tells turns about one axis only to {np.degrees(here.looseness_rad):.1f} degrees"
+    return Decision(said, None, True, near and not here.looseness_rad and sure >= LEAST_SURE, sure)
 
 
 def _within(left_rad: float) -> float:

@@ -15,7 +15,7 @@ from reorient import so3
 from reorient.controller.base import Step, rotations_since
 from reorient.depth import DepthImage
 from reorient.estimators.base import RotationEstimate
-from reorient.recognition import half_turns, likeness, misfit, repeats
+from reorient.recognition import half_turns, likeness, looseness_rad, misfit, repeats
 
 NEAR_RAD = float(np.radians(8))  # so near, a pose stands for the candidate
 SAME_RAD = float(np.radians(15))  # claims so near each other are one candidate
@@ -44,6 +44,8 @@ class Stand:
     """Log odds that this pose is the goal's; None unless its estimates stay near it, and it was captured twice."""
     misfit: float | None = None
     """Where there is a likeness: what tells this pose from others that have one, too (``recognition.misfit``)."""
+    looseness_rad: float = 0.0
+    """The same: the error of turns that the shape here hardly tells (``recognition.looseness_rad``)."""
     half_turns: Sequence[tuple[Float[np.ndarray, "3 3"], float]] = ()
     """Where there is a likeness for the first time: turns that may lead to what looks the same, each with the agreement
     that it loses by the captures up to here."""
@@ -103,16 +105,18 @@ def stands(steps: Sequence[Step], goal: DepthImage) -> list[Stand]:
         examined = near and len(group) >= 2
         alike = _likeness(images, goal, estimates) if examined else None
         off = _misfit(images, goal, estimates) if examined else None
+        loose = _looseness_rad(images, goal, estimates) if examined else 0.0
         R_last = R_now_then[group[0]]
         before = tuple((stand.images[0], _plain(R_last.T @ stand.R_now_then)) for stand in found)
         known = [stand for stand in found if stand.half_turns and _same_pose(stand.R_now_then, R_last)]
         turns = () if alike is None or known else _half_turns(images[0], goal, before)
-        found.append(Stand(images, estimates, R_last, alike, off, turns))
+        found.append(Stand(images, estimates, R_last, alike, off, loose, turns))
     return found
 
 
 _likeness = lru_cache(maxsize=64)(likeness)  # by identity: the same captures are asked about at every decision
 _misfit = lru_cache(maxsize=64)(misfit)
+_looseness_rad = lru_cache(maxsize=64)(looseness_rad)
 _repeats = lru_cache(maxsize=64)(repeats)
 
 
