@@ -205,9 +205,13 @@ def validate(
 
 
 def load_weights(network: nn.Module, path: Path) -> None:
-    """A run's weights (.safetensors) or an export's (.onnx) into a network. Raises ReorientError where they misfit."""
+    """A run's weights (.safetensors; .ckpt: its last) or an export's (.onnx) into a network. Raises ReorientError where
+    they misfit."""
     try:
-        weights = _onnx_weights(path) if path.suffix == ".onnx" else load_file(path)
+        if path.suffix == ".ckpt":
+            weights = torch.load(path, weights_only=True)["network"]
+        else:
+            weights = _onnx_weights(path) if path.suffix == ".onnx" else load_file(path)
         known = network.state_dict()
         weights |= {key: known[key] for key in known if key.endswith("num_batches_tracked")}  # no export has it
         network.load_state_dict({key: value.to(known[key].dtype) for key, value in weights.items()})

@@ -3,13 +3,16 @@
 from dataclasses import replace
 
 import pytest
+import torch
 
 from reorient.cli import main
+from reorient.network import build
 from reorient.objects import generated
 from reorient.recipes import load_preset
 from reorient.reporting.rows import read_table
 from reorient.reproducing import full, networks, non_symmetric
 from reorient.reproducing.figure import load_figure
+from reorient.training import load_weights
 
 
 @pytest.fixture
@@ -55,6 +58,14 @@ def test_full(tiny, tmp_path, capsys):
     main(["reproduce", "full", *tiny])
     said = capsys.readouterr().out
     assert "shapematch, 2 epochs: mean absolute real part" in said
+    assert "hybrid (shipped): mean error less that of mean, 2 epochs" in said
+    last = torch.load(tmp_path / "data" / "runs" / "full-shapematch-2" / "last.ckpt", weights_only=True)["network"]
+    measured = build(networks.RECIPE.network)
+    load_weights(
+        measured, tmp_path / "data" / "weights" / "full-shapematch-2.onnx"
+    )  # not the best, but what it came to
+    for key, value in measured.named_parameters():
+        torch.testing.assert_close(value.float(), last[key].float(), rtol=1e-3, atol=1e-4)
     folder = tmp_path / "out" / "full"
     shapes = read_table(folder / "shapes.csv.gz", ["shape_match", "raw_real"])
     learned = [row for row in shapes if row["estimator"].endswith(".onnx") or row["estimator"] == "paper"]

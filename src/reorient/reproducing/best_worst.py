@@ -16,7 +16,7 @@ from reorient.reporting.page import inline_image
 from reorient.reporting.report import three_panels
 from reorient.reporting.rows import estimators
 from reorient.reproducing.findings import Finding
-from reorient.reproducing.one_shot import labelled, measure_pairs, of, write_page
+from reorient.reproducing.one_shot import labelled, mean_errors, measure_pairs, of, write_page
 from reorient.reproducing.setting import Setting
 
 NAME = "best-worst"
@@ -40,7 +40,7 @@ def _extremes(rows: Sequence[Row], estimator: str) -> dict[str, Row]:
 
 
 def findings(folder: Path) -> Sequence[Finding]:
-    """The extremes: they have no interval."""
+    """The extremes, which have no interval, and the means."""
     rows = labelled(folder)
     nan = float("nan")
     return [
@@ -51,7 +51,7 @@ def findings(folder: Path) -> Sequence[Finding]:
         )
         for name in estimators(rows)
         for end, row in _extremes(rows, name).items()
-    ]  # fmt: skip
+    ] + mean_errors(rows, "all pairs", {}, {})  # fmt: skip
 
 
 def draw(setting: Setting, folder: Path) -> list[Path]:

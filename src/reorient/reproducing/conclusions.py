@@ -6,15 +6,14 @@ from reorient.evaluation import Row
 from reorient.reporting.rows import numbers
 from reorient.reproducing.findings import interval
 
-RIVALS = (("swift", "gicp"), ("paper", "icp"))  # ours and the paper's: learned, geometric
-Levels = Mapping[float, Sequence[Row]]
+RIVALS = (("swift", "gicp"), ("paper", "icp"))  # learned, geometric: the best of each here, then the paper's
 
 
-def conclude(sweeps: Mapping[str, Levels], words: Mapping[str, str]) -> list[str]:
-    """One sentence on where learning is ahead at all, then one for each pair of rivals and sweep.
+def conclude(sweeps: Mapping[str, Mapping[str, Sequence[Row]]]) -> list[str]:
+    """One sentence on where the best of learning is ahead at all, then one for each pair of rivals and sweep.
 
-    ``words``: what a sweep varies. Shares within 5 degrees are compared pair by pair; ahead means that the 95%
-    interval of the difference leaves out zero.
+    ``sweeps``: by what is varied, the rows by level in words. Shares within 5 degrees are compared pair by pair; ahead
+    means that the 95% interval of the difference leaves out zero, so one level in twenty may seem so by chance.
     """
     sentences, wins = [], []
     for learned, geometric in RIVALS:
@@ -23,19 +22,16 @@ def conclude(sweeps: Mapping[str, Levels], words: Mapping[str, str]) -> list[str
             for level, rows in levels.items():
                 low, high, mine, other = _compared(rows, learned, geometric)
                 winner = learned if low > 0 else geometric if high < 0 else ""
-                ahead[winner].append(f"{level:g} ({mine:.0%} and {other:.0%})")
-                if winner == learned:
-                    wins.append(f"{learned} of {geometric} at {level:g} ({words[sweep]})")
+                ahead[winner].append(f"{level} ({mine:.0%} and {other:.0%})")
+                if winner == RIVALS[0][0]:
+                    wins.append(level)
             parts = [f"{name} is ahead at {', '.join(at)}" for name, at in ahead.items() if name and at]
             if ahead[""]:
                 parts.append(f"it cannot be told at {', '.join(ahead[''])}")
-            sentences.append(f"{words[sweep].capitalize()}; {learned} and {geometric}: {'; '.join(parts)}.")
-    first = (
-        f"Learning is ahead of geometry at {len(wins)} of the levels: {', '.join(wins)}."
-        if wins
-        else "Learning is ahead of geometry at none of the levels."
-    )
-    return [first, *sentences]
+            sentences.append(f"{sweep.capitalize()}; {learned} and {geometric}: {'; '.join(parts)}.")
+    count = sum(len(levels) for levels in sweeps.values())
+    first = f"Learning ({RIVALS[0][0]}) is ahead of geometry ({RIVALS[0][1]}) at {len(wins)} of {count} levels"
+    return [first + (f": {', '.join(wins)}." if wins else "."), *sentences]
 
 
 def _compared(rows: Sequence[Row], learned: str, geometric: str) -> tuple[float, float, float, float]:

@@ -37,15 +37,49 @@ class Condition:
     high_deg: float = 30.0
 
 
+@dataclass(frozen=True)
+class Sweep:
+    """One thing that is varied."""
+
+    axis: str
+    level: str
+    """A level in words, by the fields of its condition."""
+    conditions: Mapping[float, Condition]
+    """By what is drawn along the axis."""
+
+    def words(self, level: float) -> str:
+        """A level in words."""
+        return self.level.format(self.conditions[level])
+
+
 RANGES_DEG = ((0, 10), (10, 20), (20, 30), (30, 45), (45, 60), (60, 90))
-SWEEPS: Mapping[str, tuple[str, Mapping[float, Condition]]] = {
-    "noise": ("depth noise, mm", {x: Condition(noise_mm=x) for x in (0.0, 0.5, 1.0, 2.0, 3.0, 5.0)}),
-    "dropouts": ("pixels without return, %", {x: Condition(dropout=x / 100) for x in (1.0, 5.0, 10.0, 25.0, 50.0)}),
-    "occlusion": ("part of the start hidden, %", {x: Condition(hidden=x / 100) for x in (0.0, 10.0, 20.0, 35.0, 50.0)}),
-    "intrinsics": ("focal length wrong by, %", {x: Condition(focal_error=x / 100) for x in (0.0, 1.0, 2.0, 3.0, 5.0)}),
-    "image size": ("pixels", {float(x): Condition(size_px=x) for x in (32, 48, 64, 96, 128, 256)}),
-    "angle": (
+SWEEPS: Mapping[str, Sweep] = {
+    "noise": Sweep(
+        "depth noise, mm",
+        "{0.noise_mm:g} mm of noise",
+        {x: Condition(noise_mm=x) for x in (0.0, 0.5, 1.0, 2.0, 3.0, 5.0)},
+    ),
+    "dropouts": Sweep(
+        "pixels without return, %",
+        "{0.dropout:.0%} without return",
+        {x: Condition(dropout=x / 100) for x in (1.0, 5.0, 10.0, 25.0, 50.0)},
+    ),
+    "occlusion": Sweep(
+        "part of the start hidden, %",
+        "{0.hidden:.0%} hidden",
+        {x: Condition(hidden=x / 100) for x in (0.0, 10.0, 20.0, 35.0, 50.0)},
+    ),
+    "intrinsics": Sweep(
+        "focal length wrong by, %",
+        "focal length {0.focal_error:.0%} wrong",
+        {x: Condition(focal_error=x / 100) for x in (0.0, 1.0, 2.0, 3.0, 5.0)},
+    ),
+    "image size": Sweep(
+        "pixels", "{0.size_px} pixels", {float(x): Condition(size_px=x) for x in (32, 48, 64, 96, 128, 256)}
+    ),
+    "angle": Sweep(
         "angle between start and goal, degrees",
+        "{0.low_deg:g} to {0.high_deg:g} degrees",
         {(low + high) / 2: Condition(low_deg=low, high_deg=high) for low, high in RANGES_DEG},
     ),
 }
@@ -57,7 +91,10 @@ def see(renderer: Renderer, condition: Condition, rng: np.random.Generator) -> P
     pair = sample_pair(rng, renderer, world, randomised(), *np.radians([condition.low_deg, condition.high_deg]))
     camera = world.camera.resized(condition.size_px, condition.size_px)
     sensor = replace(
-        randomised(condition.noise_mm / 1000), dropout=condition.dropout, rectangle=condition.hidden is None
+        randomised(0.001),  # without noise, too, it loses returns as a real camera does
+        noise_m=condition.noise_mm / 1000,
+        dropout=condition.dropout,
+        rectangle=condition.hidden is None,
     )
     poses = (pair.R_camera_object, pair.R_goal_current @ pair.R_camera_object)
     current, goal = (

@@ -30,6 +30,7 @@ from reorient.reproducing.one_shot import (
     NOTHING,
     against_angle,
     labelled,
+    mean_difference,
     mean_errors,
     measure_pairs,
     objects_of,
@@ -128,6 +129,8 @@ def findings(folder: Path) -> Sequence[Finding]:
             number(words, numbers(mine, "shape_match"), objects_of(mine), unit="", differs="generated objects")
         )
     found += mean_errors(rows, "all test objects", {}, {})
+    longest = max((name for name in estimators(rows) if name.startswith("mean")), key=lambda name: f"{EPOCHS} " in name)
+    found.append(mean_difference(rows, f"{SHIPPED}: mean error less that of {longest}", SHIPPED, longest))
     for name in (name for name in estimators(shapes) if name.startswith(LEARNED)):
         mine = of(shapes, name)
         real, groups = numbers(mine, "raw_real"), objects_of(mine)

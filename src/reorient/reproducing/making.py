@@ -20,6 +20,8 @@ def reproduce(name: str, setting: Setting) -> None:
     """Measure what is missing, draw, print the numbers (of a part: whether those of the whole hold)."""
     began = time.monotonic()
     figure, folder = load_figure(name), setting.folder(name)
+    if setting.quick and any(folder.rglob("*.csv.gz")):
+        print(f"{name}: compares the rows that are in {folder}; remove them to measure anew", flush=True)
     figure.measure(setting)
     findings = figure.findings(folder)
     write_findings(findings, folder / "numbers.csv")
@@ -64,7 +66,7 @@ def verdicts(name: str, part: Sequence[Finding], figure: Figure, whole: Path, fo
     missing = f"; {without} have no interval or no counterpart" if without else ""
     verdict = "holds" if len(failed) <= _expected(len(told)) else "DOES NOT HOLD"
     head = f"{name}: {verdict}: {len(told) - len(failed)} of {len(told)} numbers agree within their 95% intervals"
-    return [f"{head} (one in twenty may differ by chance){missing}", *failed]
+    return [f"{head} (one in twenty may differ by chance, twice as many where they fail together){missing}", *failed]
 
 
 def _expected(n: int) -> int:

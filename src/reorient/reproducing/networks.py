@@ -46,6 +46,12 @@ class Network:
         """The recipe; no run stops early, so that all have the same budget."""
         return replace(RECIPE, loss=self.loss, epochs=self.epochs, patience=self.epochs, test_objects=self.test_objects)
 
+    @property
+    def kept(self) -> str:
+        """Which weights of the run: the best on validation objects; of ShapeMatch alone the last, as the question is
+        what becomes of them."""
+        return "last.ckpt" if self.loss == "shapematch" else "best.safetensors"
+
     def weights(self, setting: Setting) -> Path:
         """Where its exported weights are."""
         return setting.data / "weights" / f"{self.name}.onnx"
@@ -69,7 +75,7 @@ def make_network(network: Network, setting: Setting, keep: Path) -> None:
 
         setting.progress(network.name, states())
         make_folder(weights.parent)
-        export(network.training.network, run / "best.safetensors", weights, compact=True)
+        export(network.training.network, run / network.kept, weights, compact=True)
     if run.is_dir():
         shutil.copyfile(run / "metrics.csv", make_folder(keep) / f"{network.name}.csv")
 

@@ -14,16 +14,16 @@ from reorient.recipes import LossName
 from reorient.reporting.curves import histograms
 from reorient.reporting.rows import estimators, numbers
 from reorient.reporting.tables import html_table
-from reorient.reproducing.findings import Finding, number
+from reorient.reproducing.findings import Finding
 from reorient.reproducing.networks import Network, make_network
 from reorient.reproducing.one_shot import (
     NOTHING,
     RELEASED,
     angle_figure,
     labelled,
+    mean_difference,
     mean_errors,
     measure_pairs,
-    objects_of,
     of,
     write_page,
 )
@@ -87,11 +87,9 @@ def findings(folder: Path) -> Sequence[Finding]:
         paper = {name: f"{PAPER[loss]}°" for name, loss in named.items() if f"{EPOCHS} epochs" in name}
         found += mean_errors(rows, title, paper, DIFFERS | dict.fromkeys(named, DIFFERS["network"]))
         for name in (name for name, loss in named.items() if loss == "hybrid"):
-            hybrid, plain = of(rows, name), of(rows, name.replace("hybrid", "mean"))
-            gain = numbers(hybrid, "error_deg") - numbers(plain, "error_deg")
             known = f"{PAPER['hybrid'] - PAPER['mean']:.2f}°" if name in paper else ""
             words = f"{title}, {name}: mean error less that of the mean loss"
-            found.append(number(words, gain, objects_of(hybrid), paper=known, differs="the same pairs for both"))
+            found.append(mean_difference(rows, words, name, name.replace("hybrid", "mean"), known))
     return found
 
 

@@ -65,6 +65,13 @@ def mean_errors(
     return found
 
 
+def mean_difference(rows: Sequence[Row], what: str, one: str, other: str, paper: str = "") -> Finding:
+    """The mean error of one estimator less that of another, pair by pair."""
+    mine, others = of(rows, one), of(rows, other)
+    gain = numbers(mine, "error_deg") - numbers(others, "error_deg")
+    return number(what, gain, objects_of(mine), paper=paper, differs="the same pairs for both")
+
+
 def against_angle(rows: Sequence[Row], column: str = "error_deg") -> dict[str, Curve]:
     """The mean of a column in bins of the angle between start and goal, with its interval, by estimator."""
     drawn = {}
