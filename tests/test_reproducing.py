@@ -287,7 +287,8 @@ def test_sweeps_end_to_end(setting, monkeypatch):
     assert len(findings) == 6 * 2 * 4 * 2
     said = {finding.what for finding in findings}
     assert {"0 mm of noise, swift: median", "10 to 20 degrees, icp: within 5°"} <= said
-    assert (folder / "conclusions.md").read_text().startswith("# Where learning beats geometry\n\n- Learning (swift) is ahead")
+    text = (folder / "conclusions.md").read_text()
+    assert text.startswith("# Where learning beats geometry\n\n- Learning (swift) is ahead")
 
 
 def test_refusals(capsys, tmp_path):
