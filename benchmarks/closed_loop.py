@@ -126,7 +126,12 @@ def _loop(config: ClosedLoop, name: str, noise_mm: float, start_deg: float, inde
             np.degrees(symmetric_error(group, np.eye(3), R_goal @ station.R_camera_object.T, station.R_camera_object))
         )
 
-    seen = FaultyStation(station, np.random.default_rng([index, 1]), config.faults, np.radians(config.slack_deg))
+    seen = FaultyStation(
+        station,
+        np.random.default_rng([zlib.crc32(name.encode()), index, 1]),
+        config.faults,
+        np.radians(config.slack_deg),
+    )
     angle_deg, begin = left_deg(), time.process_time()
     estimator, strategy = _system(system)
     result = orient(seen, goal, estimator, strategy, limits=Limits(wait_s=0.0))

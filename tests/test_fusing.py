@@ -413,6 +413,23 @@ def test_a_move_that_hides_the_object_is_taken_back_and_the_next_candidate_tried
     assert any("it was taken back" in fault for fault in result.faults)
 
 
+def test_a_camera_that_was_silent_after_a_move_does_not_rule_out_the_goal(mesh):
+    station, goal, R_goal = cell(mesh, 80.0)
+    silent = FaultyStation(station, np.random.default_rng(0), planned=["gone"] * 2)  # four failures in a row
+    result = orient(silent, goal, Oracle(station, R_goal), Fusing(), limits=NOW)
+    assert sum(step.undone for step in result.steps) == 1
+    assert result.converged
+    assert left_deg(station, R_goal) < 1e-3
+
+
+def test_what_stays_hidden_is_given_up_after_two_tries(mesh):
+    station, goal, R_goal = cell(mesh, 80.0)
+    result = orient(Hiding(station, R_goal), goal, Oracle(station, R_goal), Fusing(), limits=NOW)
+    assert sum(step.undone for step in result.steps) == 2
+    assert "nothing is left to try" in result.reason
+    assert not result.converged
+
+
 class OneSided(Hiding):
     """A station that shows one side of the object only."""
 

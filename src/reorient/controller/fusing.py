@@ -89,7 +89,10 @@ class Fusing:
         """Examine an arrival, go on to the likeliest candidate, see a rival, make the last small move, or end."""
         known = known_part(steps)
         seen = stands(known, goal)
-        found = [x for x in candidates(seen) if not _hides(x.R_goal_now, known)]
+        every = candidates(seen)
+        found = [x for x in every if x.visits or not _hidden(x.R_goal_now, known)]
+        if not found:  # what could not be seen is tried once more: the camera may have been silent
+            found = [x for x in every if _hidden(x.R_goal_now, known) == 1]
         moves_left = self.most_moves - sum((step.R_step is not None) + step.undone for step in steps)
         looks_left = self.max_steps - len(steps)
         here = _here(found, seen[-1])
@@ -117,7 +120,7 @@ class Fusing:
         if twins and max(compared, looks) < MOST_LOOKS and looks_left > 0:
             return Decision("another orientation matches as well: looks again, to compare them")
         symmetric, R_elsewhere = _symmetric(best, twins, seen)
-        if symmetric is None and not last and reachable(R_elsewhere) and not _hides(R_elsewhere, known):
+        if symmetric is None and not last and reachable(R_elsewhere) and not _hidden(R_elsewhere, known):
             turn = f"{np.degrees(so3.angle(R_elsewhere)):.0f} degrees"
             why = "another orientation matches as well; whether the object is symmetric shows from elsewhere"
             return Decision(f"{why}: turns by {turn}", R_elsewhere)
@@ -197,9 +200,9 @@ def _within(left_rad: float) -> float:
     return 0.5 * erfc((left_rad - RIGHT_RAD) / ERR_RAD / sqrt(2))
 
 
-def _hides(R_step: Float[np.ndarray, "3 3"], known: Sequence[Step]) -> bool:
-    """Whether a move to where this one leads was taken back, as nothing could be seen there."""
-    return any(
+def _hidden(R_step: Float[np.ndarray, "3 3"], known: Sequence[Step]) -> int:
+    """How many moves to where this one leads were taken back, as nothing could be seen there."""
+    return sum(
         step.undone
         and step.R_step is not None
         and float(so3.angle_difference(R_step @ R_now_then, step.R_step))
