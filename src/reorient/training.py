@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any, cast
 
 import onnx
@@ -209,7 +210,7 @@ def load_weights(network: nn.Module, path: Path) -> None:
     they misfit."""
     try:
         if path.suffix == ".ckpt":
-            weights = torch.load(path, weights_only=True)["network"]
+            weights = _last_weights(path)
         else:
             weights = _onnx_weights(path) if path.suffix == ".onnx" else load_file(path)
         known = network.state_dict()
@@ -218,6 +219,13 @@ def load_weights(network: nn.Module, path: Path) -> None:
     except (OSError, SafetensorError, DecodeError, KeyError, RuntimeError) as error:
         said = str(error).strip().splitlines()[0] if str(error) else type(error).__name__
         raise ReorientError(f"cannot load weights {str(path)!r} ({said}): expected the network's own") from error
+
+
+def _last_weights(path: Path) -> dict[str, Tensor]:
+    try:
+        return cast(dict[str, Tensor], torch.load(path, weights_only=True)["network"])
+    except (EOFError, UnpicklingError, TypeError) as error:  # whose advice is to load it unsafely
+        raise RuntimeError("no state of a training") from error
 
 
 def _onnx_weights(path: Path) -> dict[str, Tensor]:

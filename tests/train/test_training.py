@@ -22,7 +22,7 @@ from reorient.network import build
 from reorient.objects import split
 from reorient.pair_store import PairReader
 from reorient.recipes import Training, load_preset, lr_at
-from reorient.training import train
+from reorient.training import load_weights, train
 
 DEBUG = load_preset("debug")
 
@@ -168,6 +168,11 @@ def test_misfits_are_refused(trained, small_set, tmp_path):
     (tmp_path / "torn.safetensors").write_bytes((trained[0] / "best.safetensors").read_bytes()[:1000])
     with pytest.raises(ReorientError, match=r"cannot load weights .* expected the network's own"):
         run(DEBUG, small_set, tmp_path / "b", warm_start=tmp_path / "torn.safetensors")
+    whole = (trained[0] / "last.ckpt").read_bytes()
+    for content in (b"", b"no checkpoint", whole[:1000], whole[: len(whole) // 2]):
+        (tmp_path / "torn.ckpt").write_bytes(content)
+        with pytest.raises(ReorientError, match=r"cannot load weights .* expected the network's own"):
+            load_weights(build("paper"), tmp_path / "torn.ckpt")
     with pytest.raises(ReorientError, match="no pairs in .*: expected what `reorient generate` wrote"):
         run(DEBUG, tmp_path / "nothing", tmp_path / "c")
     with pytest.raises(ReorientError, match=r"unknown training preset 'swfit': .* \(did you mean 'swift'\?\)"):

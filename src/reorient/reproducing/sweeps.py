@@ -140,7 +140,7 @@ def draw(setting: Setting, folder: Path) -> list[Path]:
     pairs = len({row["pair"] for row in rows})
     lead = f"{pairs} pairs a level of {len(set(objects_of(rows)))} unseen objects; everything else as it is usual: " + (
         "1 mm of noise, rectangle, 1% dropouts, 0 to 30 degrees, exact intrinsics, 128 pixels, no pivot. The "
-        "networks were trained without noise, from 0 to 30 degrees."
+        "networks were trained on 0 to 30 degrees."
     )
     more = {"Conclusions": "<ul>" + "".join(f"<li>{escape(line)}</li>" for line in said) + "</ul>"}
     return [text, *write_page(folder, "Where does learning beat geometry?", lead, findings(folder), figures, more)]
