@@ -7,7 +7,9 @@ import pytest
 import trimesh
 
 from reorient import Fusing, Limits, Proportional, StationError, load_estimator, orient, so3
+from reorient.controller import memory
 from reorient.controller.base import Step
+from reorient.controller.fusing import LEAST_LIKENESS
 from reorient.controller.limits import nearest_reachable
 from reorient.controller.memory import Candidate, Stand, average, candidates, is_symmetry, stands
 from reorient.errors import ReorientError
@@ -269,6 +271,17 @@ def test_no_claim_where_the_shape_hardly_tells_small_turns(mesh):
     assert ends == [(True, False), (False, True)]
 
 
+@pytest.mark.parametrize(("alike", "claims"), [(LEAST_LIKENESS - 0.1, False), (LEAST_LIKENESS + 0.1, True)])
+def test_no_claim_where_only_the_estimator_is_sure(mesh, monkeypatch, alike, claims):
+    """It says 99%; the images hardly ever match."""
+    monkeypatch.setattr(memory, "_likeness", lambda *_: alike)
+    station, goal, R_goal = cell(mesh, 20.0)
+    result = orient(station, goal, Oracle(station, R_goal, confidence=0.99), Fusing(), limits=NOW)
+    assert result.converged == claims
+    assert ("nothing that was tried surely matches" in result.reason) != claims
+    assert (result.confidence > 0.9) == claims
+
+
 def test_upright_axes_of_a_box_are_its_own():
     station = RenderedStation(BOX, WORLD, randomised(), np.random.default_rng(2))
     axes = upright_axes(station.capture_goal())
@@ -330,10 +343,10 @@ def test_the_default_strategy_suits_the_estimator(mesh):
 
 
 def test_history_is_given_when_asked_for(mesh):
-    for memory, most in ((True, 3), (False, 0)):
+    for recalls, most in ((True, 3), (False, 0)):
         station, goal, R_goal = cell(mesh)
         oracle = Oracle(station, R_goal)
-        orient(station, goal, oracle, Fusing(memory=memory))
+        orient(station, goal, oracle, Fusing(memory=recalls))
         assert max(oracle.histories) == most
 
 

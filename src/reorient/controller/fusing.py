@@ -55,6 +55,7 @@ RIGHT_RAD = float(np.radians(5))  # what a confidence is about
 ERR_RAD = float(np.radians(0.5))  # of an average, as its captures err alike
 ENOUGH_RAD = float(np.radians(0.5))  # left where no more moves are allowed: a servo's play may forbid the tolerance
 LEAST_SURE = 0.5  # below this the loop ends without claiming the goal
+LEAST_LIKENESS = 0.5  # the same, of the most that the place had: an estimator may be sure where images never match
 
 
 @dataclass(frozen=True)
@@ -149,7 +150,7 @@ class Fusing:
         if not settled:
             said += f"; no more {'moves' if moves_left <= 0 else 'images'} are allowed to turn by them"
         near = settled or angle_rad <= ENOUGH_RAD
-        return _end(said, near, _within(angle_rad), here, len(twins), symmetric)
+        return _end(said, near, _within(angle_rad), best, here, len(twins), symmetric)
 
 
 def _equal(one: Candidate | None, other: Candidate | None) -> bool:
@@ -172,11 +173,15 @@ def _symmetric(
     return True, np.eye(3)
 
 
-def _end(said: str, near: bool, within: float, here: Stand, twins: int, symmetric: bool | None) -> Decision:
+def _end(
+    said: str, near: bool, within: float, best: Candidate, here: Stand, twins: int, symmetric: bool | None
+) -> Decision:
     """The end, at an arrival: with a claim, if it is near enough, as far as the shape tells, and likelier right than
     not. ``twins``: how many other orientations match as well, each of which is as likely, unless all are one by
     symmetry."""
-    matches = float(1 / (1 + np.exp(-arrival_log_odds(here)))) / (1 if symmetric else 1 + twins)
+    told = best.likeness >= LEAST_LIKENESS
+    odds = arrival_log_odds(here) if told else min(arrival_log_odds(here), best.likeness)
+    matches = float(1 / (1 + np.exp(-odds))) / (1 if symmetric else 1 + twins)
     sure = matches * within
     said += f"; {min(sure, 0.99):.0%} sure"
     if twins:
@@ -188,11 +193,12 @@ def _end(said: str, near: bool, within: float, here: Stand, twins: int, symmetri
                 None: "and no two other sides were seen to tell whether the object is symmetric",
             }[symmetric]
         )
-    elif matches < LEAST_SURE:
+    elif matches < LEAST_SURE or not told:
         said += "; nothing that was tried surely matches the goal, and this is the likeliest"
     if here.looseness_rad:
         said += f"; but the shape tells turns about one axis only to {np.degrees(here.looseness_rad):.1f} degrees"
-    return Decision(said, None, True, near and not here.looseness_rad and sure >= LEAST_SURE, sure)
+    told = told and not here.looseness_rad
+    return Decision(said, None, True, near and told and sure >= LEAST_SURE, sure)
 
 
 def _within(left_rad: float) -> float:

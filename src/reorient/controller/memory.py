@@ -71,12 +71,17 @@ class Candidate:
     """By stand, what each of its estimates gives it."""
     visits: int = 0
     """How many poses stood for it."""
-    examined: bool = False
-    """Whether one of them was looked at twice."""
+    likeness: float = float("-inf")
+    """The most that one of them had (``Stand.likeness``)."""
     from_views: float = 0.0
     """Log odds that all views give it."""
     log_weight: float = 0.0
     """The same, less extreme, and what standing there adds; of those examined, what tells them from each other."""
+
+    @property
+    def examined(self) -> bool:
+        """Whether one of them was looked at twice."""
+        return self.likeness > float("-inf")
 
     @property
     def support(self) -> float:
@@ -172,7 +177,7 @@ def candidates(seen: Sequence[Stand]) -> list[Candidate]:
         visits = [stand for stand in seen if at(candidate, stand)]
         candidate.from_start_rad = float(so3.angle(candidate.R_goal_now @ seen[0].R_now_then))
         candidate.visits = len(visits)
-        candidate.examined = any(stand.likeness is not None for stand in visits)
+        candidate.likeness = max([x.likeness for x in visits if x.likeness is not None], default=candidate.likeness)
         against = LEAST_AGAINST if candidate.examined else FAR_AGAINST
         far = against if candidate.guessed else max(candidate.from_views - most, against)
         candidate.log_weight = far + _standing_there(visits)
