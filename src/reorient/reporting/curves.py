@@ -3,12 +3,12 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from reorient.files import replacing
@@ -52,10 +52,8 @@ def curves(panels: Sequence[Panel], xlabel: str) -> Figure:
                 marker = "o" if len(curve.x) <= 12 else None
                 axes.fill_between(curve.x, curve.low, curve.high, color=colours[name], alpha=0.12, linewidth=0)
                 axes.plot(curve.x, curve.y, color=colours[name], marker=marker, markersize=3)
-            for said, level in panel.levels.items():
+            for level in panel.levels.values():
                 axes.axhline(level, color=REFERENCE, lw=1.1, ls=":", zorder=0)
-                where: Any = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "bottom"}
-                axes.annotate(said, (0.99, level), size=7.5, color="#5b6270", **where)
             axes.set(title=panel.title, xlabel=xlabel)
             if panel.logarithmic:
                 axes.set_yscale("log")
@@ -63,7 +61,8 @@ def curves(panels: Sequence[Panel], xlabel: str) -> Figure:
             axes.yaxis.set_major_formatter(_ticks(panel.unit))
             if axes is grid[0] or not alike:
                 axes.set_ylabel(panel.ylabel)
-        legend(figure, colours)
+        levels = dict.fromkeys(said for panel in panels for said in panel.levels)
+        legend(figure, colours, [Line2D([], [], color=REFERENCE, lw=1.1, ls=":", label=said) for said in levels])
     return figure
 
 

@@ -96,7 +96,7 @@ def findings(folder: Path) -> Sequence[Finding]:
 def draw(setting: Setting, folder: Path) -> list[Path]:
     """Error against angle, histograms, tables."""
     panels = _panels(folder)
-    levels = {"paper, hybrid loss, its own objects: 5.76°": PAPER["hybrid"]}
+    levels = {"the paper's hybrid loss: 5.76°": PAPER["hybrid"]}
     spread = {
         title: {name: numbers(of(rows, name), "error_deg").tolist() for name in estimators(rows)}
         for title, rows in panels.items()
