@@ -176,11 +176,11 @@ def _symmetric(
 def _end(
     said: str, near: bool, within: float, best: Candidate, here: Stand, twins: int, symmetric: bool | None
 ) -> Decision:
-    """The end, at an arrival: with a claim, if it is near enough, as far as the shape tells, and likelier right than
-    not. ``twins``: how many other orientations match as well, each of which is as likely, unless all are one by
-    symmetry."""
-    told = best.likeness >= LEAST_LIKENESS
-    odds = arrival_log_odds(here) if told else min(arrival_log_odds(here), best.likeness)
+    """The end, at an arrival: with a claim, if it is near enough, looked like the goal at least once, as far as the
+    shape tells, and is likelier right than not. ``twins``: how many other orientations match as well, each of which is
+    as likely, unless all are one by symmetry."""
+    alike = best.likeness >= LEAST_LIKENESS
+    odds = arrival_log_odds(here) if alike else min(arrival_log_odds(here), best.likeness)
     matches = float(1 / (1 + np.exp(-odds))) / (1 if symmetric else 1 + twins)
     sure = matches * within
     said += f"; {min(sure, 0.99):.0%} sure"
@@ -193,12 +193,12 @@ def _end(
                 None: "and no two other sides were seen to tell whether the object is symmetric",
             }[symmetric]
         )
-    elif matches < LEAST_SURE or not told:
+    if not alike or (matches < LEAST_SURE and not twins):
         said += "; nothing that was tried surely matches the goal, and this is the likeliest"
     if here.looseness_rad:
         said += f"; but the shape tells turns about one axis only to {np.degrees(here.looseness_rad):.1f} degrees"
-    told = told and not here.looseness_rad
-    return Decision(said, None, True, near and told and sure >= LEAST_SURE, sure)
+    claims = near and alike and not here.looseness_rad and sure >= LEAST_SURE
+    return Decision(said, None, True, claims, sure)
 
 
 def _within(left_rad: float) -> float:
