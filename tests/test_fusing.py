@@ -169,6 +169,16 @@ def test_of_orientations_that_match_equally_other_views_tell_whether_they_are_on
     assert result.moves <= 10
 
 
+def test_a_symmetric_object_that_the_images_hardly_match_is_not_claimed_and_told_why(monkeypatch):
+    monkeypatch.setattr(memory, "_likeness", lambda *_: LEAST_LIKENESS - 0.1)
+    mesh, flip = lying_box()
+    station, goal, R_goal = cell(mesh, 170.0, seed=3, noise_m=0.001)
+    result = orient(station, goal, Oracle(station, R_goal, flip=flip), Fusing(), limits=NOW)
+    assert "the object looks symmetric" in result.reason
+    assert "nothing that was tried surely matches" in result.reason
+    assert not result.converged
+
+
 def test_small_differences_add_up_to_tell_two_poses_apart():
     """A plate of 3 mm on a box, under noise of 1 mm: the share of points that fit hardly tells, the misfit does."""
     plates = [
