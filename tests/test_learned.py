@@ -9,8 +9,7 @@ import pytest
 from reorient import shapes, so3
 from reorient.depth import Camera, DepthImage
 from reorient.errors import ReorientError
-from reorient.estimators import load_estimator
-from reorient.estimators.learned import load_session
+from reorient.estimators import learned, load_estimator
 from reorient.rendering import Placement, Renderer
 
 CAMERAS = {
@@ -62,9 +61,7 @@ def test_the_translation_brings_the_object_to_the_goal(name):
 
 def test_rounds_make_it_better():
     """Each round sees the current image turned by the answer so far."""
-    from reorient.estimators.learned import Learned
-
-    once, thrice = Learned("swift", rounds=1), Learned("swift", rounds=3)
+    once, thrice = learned.Learned("swift", rounds=1), learned.Learned("swift", rounds=3)
     errors = np.array(
         [
             [so3.angle_difference(e.estimate(current, goal).R_goal_current, R) for e in (once, thrice)]
@@ -72,6 +69,18 @@ def test_rounds_make_it_better():
         ]
     )
     assert np.median(errors[:, 1]) < 0.8 * np.median(errors[:, 0])
+
+
+def test_at_the_goal_little_is_left_as_the_exchanged_pair_is_asked_too(monkeypatch):
+    swift = load_estimator("swift")
+
+    def median_left():
+        same = [(goal, pivot_m) for _, goal, _, pivot_m in pairs(CAMERAS["f = 300"], 0)]
+        return np.median([swift.estimate(goal, goal, pivot_m).angle_rad for goal, pivot_m in same])
+
+    both_ways = median_left()
+    monkeypatch.setattr(learned, "NEAR_RAD", 0.0)
+    assert both_ways < 0.6 * median_left()
 
 
 def test_the_same_images_give_the_same_answer():
@@ -82,7 +91,7 @@ def test_the_same_images_give_the_same_answer():
 
 def test_missing_weights_are_said():
     with pytest.raises(ReorientError, match=r"no weights nothing.onnx in this installation"):
-        load_session("nothing")
+        learned.load_session("nothing")
 
 
 def test_no_torch_is_loaded():

@@ -16,6 +16,7 @@ from reorient.estimators.evidence import View, weigh
 from reorient.virtual_camera import VirtualCamera, aim, join, network_input, outline, slide, turned, turning_points
 
 SWIFT_ROUNDS = 3  # from the second on it is asked about what the answer so far leaves
+NEAR_RAD = float(np.radians(3))  # so little is left that the exchanged pair is like those it was trained on, too
 TOLERANCE = 0.018  # depth difference that still fits, of the object's size
 
 
@@ -40,7 +41,8 @@ class Learned:
     """A network's answer for 0-30 degrees (paper, "Learning to Estimate 3D Rotations").
 
     ``weights``: those of the package, or an exported file. ``rounds``: from the second on, the network sees the current
-    image turned by the answer so far, as ``swift`` was trained to; None: as the file says.
+    image turned by the answer so far, as ``swift`` was trained to; None: as the file says. Where the answer so far is
+    small, these rounds ask about the exchanged pair, too: the mean of both answers has no bias at the goal.
     """
 
     def __init__(self, weights: Literal["paper", "swift"] | Path, rounds: int | None = None) -> None:
@@ -60,13 +62,16 @@ class Learned:
         virtual, views_m = self._views(current, goal)
         from_m, to_m = (self._turning_point(virtual, view_m, pivot_m) for view_m in views_m)
         current_m, goal_m = views_m
-        R_virtual = self._answer(current_m, goal_m, virtual)
+        R_virtual = so3.matrix_from_quat(self._answer_wxyz(current_m, goal_m, virtual))
         for _ in range(self._rounds - 1):
             seen_m = turned(current_m, virtual.tangent, R_virtual, from_m, to_m)
             if pivot_m is None:  # a guess is made better by what the turned view shows
                 to_m = to_m + slide(seen_m, goal_m, virtual.tangent)
                 seen_m = turned(current_m, virtual.tangent, R_virtual, from_m, to_m)
-            R_virtual = self._answer(seen_m, goal_m, virtual) @ R_virtual
+            left_wxyz = self._answer_wxyz(seen_m, goal_m, virtual)
+            if np.all(so3.angle(R_virtual) < NEAR_RAD):
+                left_wxyz = so3.normalize(left_wxyz + so3.conjugate(self._answer_wxyz(goal_m, seen_m, virtual)))
+            R_virtual = so3.matrix_from_quat(left_wxyz) @ R_virtual
         R = virtual.to_camera(R_virtual)[0]
         t = virtual.R_virtual_camera[0].T @ (to_m[0] - R_virtual[0] @ from_m[0])
         tolerance_m = TOLERANCE * float(np.linalg.norm(np.ptp(goal.points(), axis=0)))
@@ -92,13 +97,13 @@ class Learned:
         quat_wxyz: Float32[np.ndarray, "n 4"] = self._session.run(None, {"images": images})[0]
         return quat_wxyz
 
-    def _answer(
+    def _answer_wxyz(
         self,
         current_m: Float32[np.ndarray, "n size size"],
         goal_m: Float32[np.ndarray, "n size size"],
         virtual: VirtualCamera,
-    ) -> Float[np.ndarray, "n 3 3"]:
-        return so3.matrix_from_quat(so3.normalize(self._predict(current_m, goal_m, virtual).astype(float)))
+    ) -> Float[np.ndarray, "n 4"]:
+        return so3.canonical(so3.normalize(self._predict(current_m, goal_m, virtual).astype(float)))
 
     def _turning_point(
         self, virtual: VirtualCamera, view_m: Float32[np.ndarray, "n size size"], pivot_m: Float[np.ndarray, "3"] | None
