@@ -1,6 +1,7 @@
 """Algorithm 1: what it does with known estimates, how it ends, and that its record survives failures."""
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -157,6 +158,44 @@ def test_bad_arguments(cell, unchecked):
         Proportional(eta=1.5)
     with pytest.raises(ReorientError, match="goal is a ndarray: expected DepthImage"):
         orient(station, goal.depth_m, Oracle(station, R_goal))
+    with pytest.raises(ReorientError, match="limits 3: expected reorient.Limits"):
+        orient(station, goal, Oracle(station, R_goal), limits=3)
+    with pytest.raises(ReorientError, match="max_steps ten: expected at least 2"):
+        orient(station, goal, Oracle(station, R_goal), max_steps="ten")
+
+
+@pytest.mark.parametrize("confidence", [None, 0.97])
+def test_any_object_with_the_fields_of_an_estimate_will_do(cell, confidence):
+    station, goal, R_goal = cell
+
+    class Plain(Oracle):
+        def estimate(self, current, goal, pivot_m=None, history=()):
+            R = super().estimate(current, goal).R_goal_current
+            t_m = station.placement.center_m - R @ station.placement.center_m
+            return SimpleNamespace(R_goal_current=R.tolist(), t_goal_current_m=t_m, confidence=confidence)
+
+    result = orient(station, goal, Plain(station, R_goal))
+    assert result.converged
+    assert left_deg(station, R_goal) < 0.5
+    assert result.steps[-1].estimate.evidence.fit > 0.9
+
+
+@pytest.mark.parametrize(
+    "answer", [None, SimpleNamespace(R_goal_current=np.zeros((3, 3)), t_goal_current_m=np.zeros(3))]
+)
+def test_what_is_no_estimate_is_a_failure_of_the_estimator(cell, answer):
+    station, goal, _ = cell
+    wrong = SimpleNamespace(estimate=lambda *_: answer)
+    result = orient(station, goal, wrong, Proportional())
+    assert "the estimator failed" in result.reason
+    assert "expected R_goal_current, a (3, 3) rotation matrix" in result.reason
+
+
+def test_what_is_no_image_is_a_failure_of_the_station(cell):
+    station, goal, R_goal = cell
+    blind = SimpleNamespace(capture=lambda: None, rotate=station.rotate, pivot_m=None)
+    result = orient(blind, goal, Oracle(station, R_goal), Proportional())
+    assert result.reason.endswith("capture() returned a NoneType: expected DepthImage(depth_m, camera)")
 
 
 def test_rendered_station(mesh):

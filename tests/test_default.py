@@ -136,6 +136,17 @@ def test_history_enlarges_the_evidence(mesh):
     assert np.mean(np.array(helped) < 5) >= 0.8
 
 
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    "R_now_then", [np.zeros((3, 3)), np.diag([1.0, 1.0, -1.0]), 2 * np.eye(3), np.full((3, 3), np.nan), np.eye(4), None]
+)
+def test_a_history_of_other_things_than_rotations_is_refused(mesh, R_now_then):
+    pair = pair_of(mesh)
+    for history in ([(pair.current, R_now_then)], [(pair.current.depth_m, np.eye(3))], [pair.current], None):
+        with pytest.raises(ReorientError, match=r"history: expected pairs \(DepthImage, R_now_then\)"):
+            load_estimator("fast").estimate(pair.current, pair.goal, None, history)
+
+
 def test_earlier_views_slide_into_place_where_the_pivot_is_wrong(mesh):
     rng = np.random.default_rng(2)
     renderer, center = Renderer(mesh), np.array([0.0, 0.0, 0.6])

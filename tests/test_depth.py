@@ -1,5 +1,7 @@
 """Cameras and depth images: checks, points, crops, isolation."""
 
+from dataclasses import astuple
+
 import numpy as np
 import pytest
 
@@ -43,6 +45,8 @@ def spoilt(value):
         (spoilt(-0.1), "as low as -0.1 m: expected no negative value"),
         (0 * FLAT, "0 everywhere: expected returns from the object"),
         (1000 * FLAT, "median depth is 600: this looks like millimetres"),
+        (spoilt(1.0).astype(float) * 1e39, "6912 NaN or infinite pixels"),
+        ([[0.5], [0.5, 0.6]], r"depth is no image .* expected an array \(height, width\)"),
     ],
 )
 @pytest.mark.usefixtures("unchecked")
@@ -56,6 +60,13 @@ def test_depth_image_refuses(depth_m, message, camera):
 def test_depth_image_refuses_missing_intrinsics(camera):
     with pytest.raises(ReorientError, match="missing intrinsics: expected a reorient"):
         DepthImage(FLAT, camera)
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("stamp_s", ["now", np.nan])
+def test_depth_image_refuses_a_stamp_that_is_no_time(stamp_s, camera):
+    with pytest.raises(ReorientError, match="stamp .* expected finite seconds, or None"):
+        DepthImage(FLAT, camera, stamp_s)
 
 
 @pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64])
@@ -76,11 +87,27 @@ def test_depth_of_any_float_is_kept_as_float32_of_its_own(dtype, camera):
         ((96, 72, 110.0, -104.0, 45.0, 33.0), "fy=-104.0, .* expected finite pixels, fx, fy > 0"),
         ((96, 72, 110.0, 104.0, np.nan, 33.0), "cx=nan, .* expected finite pixels"),
         ((96, 72, np.inf, 104.0, 45.0, 33.0), "fx=inf, .* expected finite pixels"),
+        ((96, 72, None, 104.0, 45.0, 33.0), "fx=None, .* expected finite pixels"),
+        ((96, 72, "110", 104.0, 45.0, 33.0), "fx=110, .* expected finite pixels"),
+        ((96, 72, [110.0, 104.0], 104.0, 45.0, 33.0), "expected finite pixels"),
+        ((None, 72, 110.0, 104.0, 45.0, 33.0), "camera of None x 72 px: expected whole numbers"),
+        ((np.nan, 72, 110.0, 104.0, 45.0, 33.0), "camera of nan x 72 px: expected whole numbers"),
+        ((np.inf, 72, 110.0, 104.0, 45.0, 33.0), "camera of inf x 72 px: expected whole numbers"),
+        ((96, 72.5, 110.0, 104.0, 45.0, 33.0), "camera of 96 x 72.5 px: expected whole numbers"),
     ],
 )
+@pytest.mark.usefixtures("unchecked")
 def test_camera_refuses(values, message):
     with pytest.raises(ReorientError, match=message):
         Camera(*values)
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_numbers_of_any_type_are_kept_as_plain_ones():
+    camera = Camera(np.int64(96), 72.0, *np.array([110.0, 104.0, 45.25, 33.5], np.float32))
+    image = DepthImage(FLAT, camera, np.float32(12.5))
+    assert [type(x) for x in astuple(camera)] == [int, int, float, float, float, float]
+    assert type(image.stamp_s) is float
 
 
 # --- points ---------------------------------------------------------------------------------------------------------
@@ -179,11 +206,14 @@ def test_a_box_may_reach_beyond_the_image(image):
         ({"mask": np.ones((96, 72), bool)}, r"mask of shape \(96, 72\): expected \(72, 96\)"),
         ({"mask": np.zeros((72, 96), bool)}, "the mask is empty"),
         ({"box_px": (0, 0, 0, 5)}, "box of 0 x 5 px: expected left, top, width, height"),
+        ({"box_px": (0, 0, 5)}, r"box \(0, 0, 5\): expected left, top, width, height in whole pixels"),
+        ({"box_px": (0.5, 0, 5, 5)}, "expected left, top, width, height in whole pixels"),
         ({"box_px": (-40, -40, 30, 30)}, "nothing is left of the image"),
         ({"near_m": 0.8}, "nothing is left of the image"),
         ({"far_m": 0.3}, "nothing is left of the image"),
     ],
 )
+@pytest.mark.usefixtures("unchecked")
 def test_isolate_refuses(arguments, message, image):
     with pytest.raises(ReorientError, match=message):
         isolate(image, **arguments)
@@ -197,3 +227,14 @@ def test_a_full_frame_is_no_isolated_object(camera):
     assert isolate(full, box_px=(0, 0, 50, 72)).valid.mean() < 0.6
     with pytest.raises(ReorientError, match="isolate the object: returns fill 62%"):
         isolate(full, box_px=(0, 0, 60, 72))
+
+
+def test_a_tight_crop_of_an_object_is_isolated(image):
+    crop = image.cropped(8, 21, 54, 38)
+    assert crop.valid.mean() > 0.6
+    assert np.array_equal(isolate(crop).depth_m, crop.depth_m)
+
+
+def test_a_window_without_size_is_refused(image):
+    with pytest.raises(ReorientError, match="camera of -5 x 50 px"):
+        image.cropped(10, 10, -5, 50)

@@ -189,8 +189,15 @@ def test_refusals(mesh):
             estimator.estimate(pair.current, full)
         with pytest.raises(ReorientError, match="pivot .* expected three finite metres"):
             estimator.estimate(pair.current, pair.goal, np.array([0.0, 0.0, np.nan]))
+        with pytest.raises(ReorientError, match="pivot .* looks like millimetres, expected metres"):
+            estimator.estimate(pair.current, pair.goal, np.array([0.0, 0.0, 600.0]))
 
 
 def test_unknown_estimator():
     with pytest.raises(ValueError, match=r"unknown estimator 'gcip': expected one of .*did you mean 'gicp'"):
         load_estimator("gcip")
+
+
+def test_a_name_is_a_string(unchecked):
+    with pytest.raises(ReorientError, match="estimator None: expected a name, a string"):
+        load_estimator(None)

@@ -5,6 +5,9 @@ Camera axes are OpenCV's: x right, y down, z forward. Pixel centres lie at +0.5:
 """
 
 from dataclasses import dataclass, replace
+from math import isfinite
+from numbers import Real
+from operator import index
 
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
@@ -16,9 +19,16 @@ MILLIMETRES_ABOVE = 20.0  # a median depth of over 20 is taken for millimetres: 
 ISOLATED_BELOW = 0.6  # an object alone leaves at least this much of the frame empty
 
 
+def _is_number(x: object) -> bool:
+    return isinstance(x, Real) and isfinite(x)
+
+
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera without distortion. Raises ReorientError for sizes or focal lengths that are none."""
+    """A pinhole camera without distortion; numbers of any type are kept as int and float.
+
+    Raises ReorientError for sizes or focal lengths that are none.
+    """
 
     width: int
     """Columns, px."""
@@ -34,12 +44,15 @@ class Camera:
     """Principal point, px from the top edge of the image."""
 
     def __post_init__(self) -> None:
-        if self.width != int(self.width) or self.height != int(self.height) or min(self.width, self.height) < 1:
+        sizes, optics = (self.width, self.height), (self.fx, self.fy, self.cx, self.cy)
+        if not all(_is_number(x) and x == int(x) and x >= 1 for x in sizes):
             raise ReorientError(f"camera of {self.width} x {self.height} px: expected whole numbers above 0")
-        if not all(np.isfinite([self.fx, self.fy, self.cx, self.cy])) or min(self.fx, self.fy) <= 0:
+        if not all(_is_number(x) for x in optics) or min(self.fx, self.fy) <= 0:
             raise ReorientError(
                 f"camera of fx={self.fx}, fy={self.fy}, cx={self.cx}, cy={self.cy}: expected finite pixels, fx, fy > 0"
             )
+        for name, kind in self.__annotations__.items():
+            object.__setattr__(self, name, kind(getattr(self, name)))
 
     def cropped(self, left: int, top: int, width: int, height: int) -> "Camera":
         """The camera of a window of this image; the window may reach beyond it."""
@@ -71,7 +84,7 @@ class DepthImage:
     """Depth of one isolated object, as a camera saw it.
 
     Raises ReorientError for a wrong shape or dtype, NaN or infinity, negative or all-zero depth, and what looks like
-    millimetres. Floating-point depth of any width is kept as float32.
+    millimetres, and for a stamp that is no finite number. Floating-point depth of any width is kept as float32.
     """
 
     depth_m: Float[np.ndarray, "height width"]
@@ -81,7 +94,10 @@ class DepthImage:
     """When it was captured, seconds on the station's clock; None if unknown."""
 
     def __post_init__(self) -> None:
-        depth_m = np.asarray(self.depth_m)
+        try:
+            depth_m = np.asarray(self.depth_m)
+        except ValueError as error:  # rows of different lengths
+            raise ReorientError(f"depth is no image ({error}): expected an array (height, width)") from error
         if not isinstance(self.camera, Camera):
             raise ReorientError(
                 "missing intrinsics: expected a reorient.Camera (width, height, fx, fy, cx, cy) with the depth image"
@@ -96,6 +112,8 @@ class DepthImage:
                 f"depth of shape {depth_m.shape}: expected (height, width) = ({self.camera.height}, "
                 f"{self.camera.width}) as in its camera"
             )
+        with np.errstate(over="ignore"):
+            depth_m = depth_m.astype(np.float32)
         lowest, highest = depth_m.min(), depth_m.max()  # NaN where any pixel is
         if not np.isfinite([lowest, highest]).all():
             raise ReorientError(
@@ -117,7 +135,11 @@ class DepthImage:
                 raise ReorientError(
                     f"median depth is {median:.0f}: this looks like millimetres, expected metres (times 0.001)"
                 )
-        object.__setattr__(self, "depth_m", depth_m.astype(np.float32))
+        object.__setattr__(self, "depth_m", depth_m)
+        if self.stamp_s is not None:
+            if not _is_number(self.stamp_s):
+                raise ReorientError(f"stamp {self.stamp_s!r}: expected finite seconds, or None if unknown")
+            object.__setattr__(self, "stamp_s", float(self.stamp_s))
 
     @property
     def valid(self) -> Bool[np.ndarray, "height width"]:
@@ -131,13 +153,14 @@ class DepthImage:
 
     def cropped(self, left: int, top: int, width: int, height: int) -> "DepthImage":
         """A window; where it reaches beyond the image it has no returns. Raises ReorientError if none is left."""
+        camera = self.camera.cropped(left, top, width, height)
         out = np.zeros((height, width), np.float32)
         rows = slice(max(top, 0), min(top + height, self.camera.height))
         columns = slice(max(left, 0), min(left + width, self.camera.width))
         if rows.start < rows.stop and columns.start < columns.stop:
             inside = slice(rows.start - top, rows.stop - top), slice(columns.start - left, columns.stop - left)
             out[inside] = self.depth_m[rows, columns]
-        return replace(self, depth_m=out, camera=self.camera.cropped(left, top, width, height))
+        return replace(self, depth_m=out, camera=camera)
 
     def resized(self, width: int, height: int) -> "DepthImage":
         """Another size by nearest neighbour: mixing depths across an edge would invent points."""
@@ -146,16 +169,12 @@ class DepthImage:
         return replace(self, depth_m=self.depth_m[np.ix_(rows, columns)], camera=self.camera.resized(width, height))
 
 
-def is_scene(image: DepthImage) -> bool:
-    """Whether an image shows a whole scene, not one object: over 60% returns, and most of the border too."""
-    border = np.concatenate([image.valid[[0, -1]].ravel(), image.valid[:, [0, -1]].ravel()])
-    return float(np.mean(image.valid)) > ISOLATED_BELOW and float(np.mean(border)) > 0.5
-
-
 def require_isolated(image: DepthImage) -> DepthImage:
-    """The image itself. Raises ReorientError where returns fill more than 60% of it."""
+    """The image itself. Raises ReorientError for a whole scene: returns on over 60% of it, and on most of its border,
+    which a tight crop of an object leaves empty."""
     share = float(np.mean(image.valid))
-    if share > ISOLATED_BELOW:
+    border = np.concatenate([image.valid[[0, -1]].ravel(), image.valid[:, [0, -1]].ravel()])
+    if share > ISOLATED_BELOW and float(np.mean(border)) > 0.5:
         raise ReorientError(
             f"isolate the object: returns fill {share:.0%} of the image, expected at most {ISOLATED_BELOW:.0%}; "
             "give a mask, a box or a near/far range (--mask, --box, --near, --far)"
@@ -172,7 +191,8 @@ def isolate(
 ) -> DepthImage:
     """Only the returns inside the mask, the box (left, top, width, height) and the depth range; the size stays.
 
-    Raises ReorientError for a mask of another size, where nothing is left, and where over 60% is left.
+    Raises ReorientError for a mask of another size, a box that is none, where nothing is left, and where what is left
+    is still a scene.
     """
     keep = image.valid.copy()
     if mask is not None:
@@ -183,7 +203,10 @@ def isolate(
             raise ReorientError("the mask is empty: expected non-zero pixels on the object")
         keep &= mask
     if box_px is not None:
-        left, top, width, height = box_px
+        try:
+            left, top, width, height = (index(x) for x in box_px)
+        except (TypeError, ValueError) as error:
+            raise ReorientError(f"box {box_px}: expected left, top, width, height in whole pixels") from error
         if width < 1 or height < 1:
             raise ReorientError(f"box of {width} x {height} px: expected left, top, width, height with a size above 0")
         inside = np.zeros_like(keep)

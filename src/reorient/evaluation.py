@@ -25,7 +25,7 @@ from jaxtyping import Float
 from reorient import so3
 from reorient.errors import ReorientError
 from reorient.estimators import load_estimator
-from reorient.estimators.base import Estimator
+from reorient.estimators.base import Estimator, as_estimate
 from reorient.files import make_folder, replacing
 from reorient.objects import ObjectSet, ObjectSource
 from reorient.pairs import Pair, sample_pair, view_overlap
@@ -235,7 +235,8 @@ def _estimate(
     """One row's figures. An estimator that refuses has answered "no rotation"; the message says why."""
     begin = time.process_time()
     try:
-        estimate = estimator.estimate(pair.current, pair.goal, pivot_m)
+        answer = estimator.estimate(pair.current, pair.goal, pivot_m)
+        estimate = as_estimate(answer, pair.current, pair.goal)
     except ReorientError as error:
         R, message, figures = np.eye(3), str(error), {}
     else:

@@ -97,11 +97,12 @@ class Estimate:
     def run(self) -> None:
         """Read, isolate, estimate, print, draw."""
         from reorient.estimators import load_estimator
+        from reorient.estimators.base import as_estimate
 
         estimator = load_estimator(self.estimator)
         current, goal = self.frames.read(self.current, 0), self.frames.read(self.goal, 1)
         pivot_m = None if self.pivot is None else np.array(self.pivot)
-        estimate = estimator.estimate(current, goal, pivot_m)
+        estimate = as_estimate(estimator.estimate(current, goal, pivot_m), current, goal)
         if self.explain is not None:
             from reorient.explaining import picture
             from reorient.files import replacing

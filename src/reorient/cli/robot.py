@@ -289,10 +289,11 @@ class Capture:
     def run(self) -> None:
         """Capture and write."""
         from reorient.depth_files import write_depth
+        from reorient.stations.base import captured
 
         station: Any = self.choice.open()
         try:  # a simulated gripper can be told to let go of the picture
-            image = station.capture_goal() if hasattr(station, "capture_goal") else station.capture()
+            image = captured(station.capture_goal() if hasattr(station, "capture_goal") else station.capture())
         except ReorientError:
             raise
         except Exception as error:

@@ -6,6 +6,7 @@ It knows only what an estimator, a station and a strategy are. Recording, drawin
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from numbers import Integral
 
 import numpy as np
 from jaxtyping import Float
@@ -17,8 +18,8 @@ from reorient.controller.limits import Limits, nearest_reachable
 from reorient.controller.proportional import Proportional
 from reorient.depth import DepthImage
 from reorient.errors import ReorientError, StationError
-from reorient.estimators.base import Estimator, RotationEstimate, check_pair
-from reorient.stations.base import Station, lacking, pivot_of
+from reorient.estimators.base import Estimator, RotationEstimate, as_estimate, check_pair
+from reorient.stations.base import Station, captured, lacking, pivot_of
 
 LEAST_GAIN_RAD = float(np.radians(0.5))  # a way round an unreachable move is taken if it comes nearer by this
 LEAST_HIDING_RAD = float(np.radians(5))  # smaller moves do not hide an object that was seen before
@@ -51,7 +52,9 @@ def orient(
     ):
         if isinstance(thing, type) or lacking(thing, members):
             raise ReorientError(f"{thing!r} given: expected an object with {', '.join(members)}")
-    if max_steps is not None and (strategy is not None or max_steps < 2):
+    if not isinstance(limits, Limits | None):
+        raise ReorientError(f"limits {limits!r}: expected reorient.Limits, or None")
+    if max_steps is not None and (strategy is not None or not isinstance(max_steps, Integral) or max_steps < 2):
         raise ReorientError(f"max_steps {max_steps}: expected at least 2, and no strategy, which has its own")
     pivot_m = pivot_of(station) if pivot_m is None else pivot_m
     check_pair(goal, goal, pivot_m)
@@ -109,14 +112,15 @@ class _Loop:
     def look(self) -> tuple[DepthImage, RotationEstimate] | None:
         """Capture and estimate; None where that failed and is to be tried again."""
         try:
-            image = self.station.capture()
+            image = captured(self.station.capture())
             self.refuse_stale(image)
         except Exception as error:  # a driver may raise anything; the record must survive it
             self.failed(f"the station failed to capture: {_said(error)}")
             return None
         try:
             history = self.strategy.recalled(self.steps) if self.strategy else []
-            estimate = self.estimator.estimate(image, self.goal, self.pivot_m, history)
+            answer = self.estimator.estimate(image, self.goal, self.pivot_m, history)
+            estimate = as_estimate(answer, image, self.goal)
         except Exception as error:
             self.failed(f"the estimator failed: {_said(error)}")
             return None

@@ -17,6 +17,8 @@ def load_estimator(name: str = "default") -> Estimator:
     ``reorient export`` wrote. ``my_module:MyEstimator``: a class, imported (the working folder included) and called
     with nothing. Raises ReorientError, a ValueError, for an unknown name.
     """
+    if not isinstance(name, str):
+        raise ReorientError(f"estimator {name!r}: expected a name, a string")
     if name.endswith(".onnx"):
         from reorient.estimators.learned import Learned
 

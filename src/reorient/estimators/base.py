@@ -2,15 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
 from reorient import so3
-from reorient.depth import DepthImage, is_scene, require_isolated
+from reorient.depth import MILLIMETRES_ABOVE, DepthImage, require_isolated
 from reorient.errors import ReorientError
-from reorient.estimators.evidence import Evidence
+from reorient.estimators.evidence import Evidence, View, weigh
 
 History = Sequence[tuple[DepthImage, Float[np.ndarray, "3 3"]]]
 """Earlier captures of the same held object, each with R_now_then."""
@@ -70,8 +70,7 @@ def check_pair(
             raise ReorientError(f"{name} is a {type(image).__name__}: expected DepthImage(depth_m, camera)")
         if (returns := np.count_nonzero(image.depth_m)) < fewest:
             raise ReorientError(f"{name} image has {returns} returns: expected at least {fewest} on the object")
-        if is_scene(image):  # a tight crop of an object may fill its frame
-            require_isolated(image)
+        require_isolated(image)
     if pivot_m is not None:
         try:
             pivot = np.asarray(pivot_m, float)
@@ -79,3 +78,47 @@ def check_pair(
             pivot = np.empty(0)
         if pivot.shape != (3,) or not np.all(np.isfinite(pivot)) or pivot[2] <= 0:
             raise ReorientError(f"pivot {pivot_m}: expected three finite metres in camera axes, in front of the camera")
+        if pivot[2] > MILLIMETRES_ABOVE:
+            raise ReorientError(f"pivot {pivot_m}: this looks like millimetres, expected metres (times 0.001)")
+
+
+def known_captures(history: History) -> History:
+    """The history itself, checked. Raises ReorientError for what is no earlier capture by a known rotation."""
+    try:
+        known = [(image, np.asarray(R, float)) for image, R in history]
+        right = all(isinstance(image, DepthImage) and so3.is_rotation(R) for image, R in known)
+    except (TypeError, ValueError):
+        right = False
+    if not right:
+        raise ReorientError("history: expected pairs (DepthImage, R_now_then), R_now_then a (3, 3) rotation matrix")
+    return known
+
+
+TOLERANCE = 0.018  # depth difference that still fits, of the object's size
+
+
+def weighed(
+    current: DepthImage, goal: DepthImage, R: Float[np.ndarray, "3 3"], t_m: Float[np.ndarray, "3"], **more: Any
+) -> RotationEstimate:
+    """An answer with what the two images say about it."""
+    tolerance_m = TOLERANCE * float(np.linalg.norm(np.ptp(goal.points(), axis=0)))
+    return RotationEstimate(R, t_m, weigh(View(current), View(goal), R, t_m, tolerance_m), **more)
+
+
+def as_estimate(answer: Any, current: DepthImage, goal: DepthImage) -> RotationEstimate:
+    """What an estimator of the user's own answered. Any object with the fields of ``RotationEstimate`` will do; where
+    it brings no ``Evidence``, the images are asked. Raises ReorientError for what is no answer."""
+    try:
+        R, t_m = np.asarray(answer.R_goal_current, float), np.asarray(answer.t_goal_current_m, float)
+    except (AttributeError, TypeError, ValueError):
+        R = t_m = np.empty(0)
+    if not so3.is_rotation(R) or t_m.shape != (3,) or not np.isfinite(t_m).all():
+        raise ReorientError(
+            f"{type(answer).__name__} answered: expected R_goal_current, a (3, 3) rotation matrix, and "
+            "t_goal_current_m, three finite metres"
+        )
+    if isinstance(answer, RotationEstimate):
+        return answer
+    more = {name: getattr(answer, name, None) for name in ("confidence", "covariance_rad2")}
+    alternatives = tuple(getattr(answer, "alternatives", None) or ())
+    return weighed(current, goal, R, t_m, alternatives=alternatives, **more)

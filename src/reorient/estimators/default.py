@@ -16,7 +16,7 @@ from jaxtyping import Float
 from reorient import so3
 from reorient.depth import DepthImage
 from reorient.errors import unknown_name
-from reorient.estimators.base import History, RotationEstimate, check_pair
+from reorient.estimators.base import History, RotationEstimate, check_pair, known_captures
 from reorient.estimators.evidence import weigh
 from reorient.estimators.gicp import FEWEST_POINTS, FINE
 from reorient.estimators.judge import Judge, features, load_judge
@@ -59,7 +59,7 @@ class Default:
     ) -> RotationEstimate:
         """As ``Estimator.estimate``; of the history the captures that show the most new are used."""
         check_pair(current, goal, pivot_m)
-        problem = pose(current, goal, pivot_m, history)
+        problem = pose(current, goal, pivot_m, known_captures(history))
         return verdict(problem, search(problem, EFFORTS[self._effort]), load_judge(), self._effort)
 
     def estimate_many(
@@ -85,9 +85,8 @@ def pose(
     now, target = Surface(current), Surface(goal)
     frame = frame_of(now, target, pivot_m)
     looks = [Look(now, np.eye(3), np.zeros(3))]
-    for image, R_now_then in _most_telling(history):
+    for image, R in _most_telling(history):
         then = Surface(image)
-        R = np.asarray(R_now_then, float)
         before = frame_of(then, now, pivot_m)
         to_now = Problem((Look(then, np.eye(3), np.zeros(3)),), now, before)
         placed = descend(to_now, Hypotheses(R[None], to_now.start(R[None])), _PLACING, 400, turn=False)

@@ -9,8 +9,7 @@ import trimesh
 from jaxtyping import Float
 
 from reorient.depth import DepthImage
-from reorient.estimators.base import History, RotationEstimate, check_pair
-from reorient.estimators.evidence import View, weigh
+from reorient.estimators.base import History, RotationEstimate, check_pair, weighed
 
 
 class ICP:
@@ -42,8 +41,7 @@ class ICP:
         )
         R = T[:3, :3]
         t = T[:3, 3] + target_center - R @ source_center
-        tolerance_m = 0.018 * float(np.linalg.norm(np.ptp(target, axis=0)))
-        return RotationEstimate(R, t, weigh(View(current), View(goal), R, t, tolerance_m))
+        return weighed(current, goal, R, t)
 
     def _cloud(self, image: DepthImage) -> Float[np.ndarray, "n 3"]:
         points = image.points()

@@ -11,13 +11,11 @@ from jaxtyping import Float, Float32
 from reorient import so3
 from reorient.depth import DepthImage
 from reorient.errors import ReorientError
-from reorient.estimators.base import History, RotationEstimate, check_pair
-from reorient.estimators.evidence import View, weigh
+from reorient.estimators.base import History, RotationEstimate, check_pair, weighed
 from reorient.virtual_camera import VirtualCamera, aim, join, network_input, outline, slide, turned, turning_points
 
 SWIFT_ROUNDS = 3  # from the second on it is asked about what the answer so far leaves
 NEAR_RAD = float(np.radians(3))  # so little is left that the exchanged pair is like those it was trained on, too
-TOLERANCE = 0.018  # depth difference that still fits, of the object's size
 
 
 @cache
@@ -74,8 +72,7 @@ class Learned:
             R_virtual = so3.matrix_from_quat(left_wxyz) @ R_virtual
         R = virtual.to_camera(R_virtual)[0]
         t = virtual.R_virtual_camera[0].T @ (to_m[0] - R_virtual[0] @ from_m[0])
-        tolerance_m = TOLERANCE * float(np.linalg.norm(np.ptp(goal.points(), axis=0)))
-        return RotationEstimate(R, t, weigh(View(current), View(goal), R, t, tolerance_m))
+        return weighed(current, goal, R, t)
 
     def raw_quat_wxyz(self, current: DepthImage, goal: DepthImage) -> Float[np.ndarray, "4"]:
         """What the network itself says in its first round: virtual camera axes, the sign as it comes."""

@@ -8,8 +8,7 @@ import trimesh
 from jaxtyping import Float
 
 from reorient.depth import DepthImage
-from reorient.estimators.base import History, RotationEstimate, check_pair
-from reorient.estimators.evidence import View, weigh
+from reorient.estimators.base import History, RotationEstimate, check_pair, weighed
 
 MAX_POINTS = 1500
 
@@ -60,7 +59,4 @@ def _collapsed(image: DepthImage) -> Float[np.ndarray, "n 3"]:
 
 def _answer(current: DepthImage, goal: DepthImage, R: Float[np.ndarray, "3 3"]) -> RotationEstimate:
     """With the translation that brings the centroids together."""
-    target = goal.points()
-    t = target.mean(axis=0) - R @ current.points().mean(axis=0)
-    tolerance_m = 0.018 * float(np.linalg.norm(np.ptp(target, axis=0)))
-    return RotationEstimate(R, t, weigh(View(current), View(goal), R, t, tolerance_m))
+    return weighed(current, goal, R, goal.points().mean(axis=0) - R @ current.points().mean(axis=0))

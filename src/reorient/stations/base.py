@@ -53,3 +53,10 @@ def pivot_of(station: Station) -> Float[np.ndarray, "3"] | None:
         raise
     except Exception as error:
         raise StationError(f"the station failed to tell its pivot_m: {type(error).__name__}: {error}") from error
+
+
+def captured(image: object) -> DepthImage:
+    """What ``capture`` returned. Raises StationError where that is no image."""
+    if not isinstance(image, DepthImage):
+        raise StationError(f"capture() returned a {type(image).__name__}: expected DepthImage(depth_m, camera)")
+    return image
