@@ -156,6 +156,7 @@ def test_orient_with_limits_a_record_and_its_replay(capsys, tmp_path, monkeypatc
     main([str(a) for a in [*turned, "--confirm-first-move", "--largest-step-deg", 60, "--record", record]])
     said = capsys.readouterr().out.splitlines()
     assert said[-1].startswith("Done after")
+    assert {"station", "version", "commit", "estimator"} <= set(json.loads((record / "record.json").read_text()))
     main(["replay", str(record), "--out", str(tmp_path / "again")])
     again = capsys.readouterr().out.splitlines()
     assert [line for line in again if str(tmp_path) not in line] == said
@@ -245,6 +246,7 @@ def test_evaluate_and_report(capsys, tmp_path):
     said = capsys.readouterr().out
     assert "gicp" in said
     assert str(out / "rows.csv.gz") in said.replace("\n", "")
+    assert "| 0 mm | 0–30° | gicp | 2 |" in (out / "table.md").read_text()
     main(["report", str(out)])
     page = Path(capsys.readouterr().out.strip())
     assert page.is_file()

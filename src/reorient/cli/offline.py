@@ -175,17 +175,21 @@ class Evaluate:
     """
 
     out: Positional[Path]
-    """Folder for config.json and rows.csv.gz."""
+    """Folder for config.json, rows.csv.gz and table.md."""
     config: Evaluation = field(default_factory=Evaluation)
     workers: int = 1
     """Processes."""
 
     def run(self) -> None:
         """Measure, then print the tables."""
-        from reorient.reporting import print_tables, read_rows
+        from reorient.files import replacing
+        from reorient.reporting import markdown_table, print_tables, read_rows
 
         show_progress("pairs", evaluate(self.config, self.out, self.workers))
-        print_tables(read_rows(self.out), _console())
+        rows = read_rows(self.out)
+        with replacing(self.out / "table.md") as temporary:
+            temporary.write_text(markdown_table(rows))
+        print_tables(rows, _console())
         print(self.out / "rows.csv.gz")
 
 

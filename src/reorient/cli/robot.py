@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from tyro.conf import Positional
 
+from reorient import __version__
 from reorient.cli.estimating import Frames
 from reorient.errors import ReorientError
 from reorient.files import make_folder
@@ -146,6 +147,7 @@ class Orient:
 
         from reorient.controller import Limits
         from reorient.estimators import load_estimator
+        from reorient.provenance import commit
         from reorient.stations.replay import RecordingStation
 
         strategy = _strategy(self.strategy, self.max_steps, self.eta, self.delta_deg)
@@ -163,6 +165,9 @@ class Orient:
                 "largest_step_deg": self.largest_step_deg,
                 "largest_total_deg": self.largest_total_deg if np.isfinite(self.largest_total_deg) else None,
                 "dry_run": self.dry_run,
+                "station": self.choice.station,
+                "version": __version__,
+                "commit": commit(),
             }
             station = RecordingStation(station, self.record, goal, about)
         title = f"Station {self.choice.station}"

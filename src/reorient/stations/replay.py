@@ -16,7 +16,7 @@ from reorient.depth import DepthImage
 from reorient.depth_files import read_depth, write_depth
 from reorient.errors import ReorientError, StationError
 from reorient.files import make_folder, replacing
-from reorient.stations.base import Station, pivot_of
+from reorient.stations.base import Station, captured, pivot_of
 
 SAME_RAD = float(np.radians(0.1))  # a move that differs by less from the recorded one is that move
 
@@ -51,7 +51,7 @@ class RecordingStation:
         """The station's frame."""
         name = f"{len(self._record['acts']):03d}.npz"
         try:
-            image = self._station.capture()
+            image = captured(self._station.capture())
             write_depth(self._folder / name, image)
         except Exception as error:
             self._note({"capture": None, "error": f"{type(error).__name__}: {error}"})
