@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Float
 
 from reorient import so3
-from reorient.errors import ReorientError
+from reorient.errors import ReorientError, check_workers
 from reorient.estimators import load_estimator
 from reorient.estimators.base import Estimator
 from reorient.files import make_folder, replacing
@@ -124,8 +124,7 @@ def measure_pairs(
 ) -> Iterator[tuple[int, int]]:
     """As ``evaluate``, with any measure. ``own``: what else the rows depend on, in words; kept in ``config.json``."""
     load_world(config.world)
-    if workers < 1:
-        raise ReorientError(f"{workers} workers: expected at least 1")
+    check_workers(workers)
     names = _loadable(config.objects.open(), config.pairs)
     _write_config(config, make_folder(out), workers, own)
     partial_file, finished = out / "rows.partial.csv", out / "rows.csv.gz"
