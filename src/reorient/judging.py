@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from numpy.random import Generator
 
 from reorient.depth import DepthImage
-from reorient.errors import ReorientError
+from reorient.errors import ReorientError, check_workers, unknown_name
 from reorient.estimators.default import pose
 from reorient.estimators.judge import FEATURES, features
 from reorient.estimators.search import EFFORTS, search
@@ -49,12 +49,24 @@ class JudgeData:
     effort: str = "normal"
     seed: int = 0
 
+    def __post_init__(self) -> None:
+        """Raises ReorientError for what cannot be made."""
+        load_world(self.world)
+        if self.effort not in EFFORTS:
+            raise unknown_name("effort", self.effort, list(EFFORTS))
+        if min(self.pairs, self.per_shard) < 1 or self.seed < 0:
+            raise ReorientError("expected at least one pair an object and object a file, and a seed from 0")
+        if not (0 <= self.most_noise_mm < np.inf and 0 <= self.most_wrong_focal < 1):
+            raise ReorientError(
+                f"noise up to {self.most_noise_mm} mm, focal length wrong by {self.most_wrong_focal}: expected finite "
+                "noise from 0 and a share below 1"
+            )
+
 
 def make(config: JudgeData, out: Path, workers: int = 1) -> Iterator[tuple[int, int]]:
     """Write the shards, yielding (done, all). Those that are there already stay. Raises ReorientError where they are of
     another config, and for no workers."""
-    if workers < 1:
-        raise ReorientError(f"{workers} workers: expected at least 1")
+    check_workers(workers)
     names = config.objects.open().names
     keep_record(make_folder(out) / "config.json", config, f"what is in {str(out)!r}")
     tasks = [
