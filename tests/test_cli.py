@@ -278,6 +278,11 @@ def test_outputs_that_cannot_be_made_are_refused_before_anything_moves(capsys, t
     assert "cannot make folder" in refused(capsys, "evaluate", tmp_path / "file", "--count", 1, "--pairs", 1)
 
 
+@pytest.mark.parametrize("verb", [["estimate", "none.npz", "none.npz", "--explain"], ["objects", "montage"]])
+def test_pictures_of_an_unknown_kind_are_refused_before_the_work(verb, capsys, tmp_path):
+    assert "cannot write a picture as 'why.foo': expected one of .png" in refused(capsys, *verb, tmp_path / "why.foo")
+
+
 def _depth(folder: Path) -> Path:
     write_depth(folder / "ball.npz", DepthImage(np.pad(np.full((20, 20), 0.6), 54), WORLD.camera))
     return folder / "ball.npz"
