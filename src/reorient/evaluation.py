@@ -171,7 +171,7 @@ def read_config(path: Path) -> Evaluation:
         for name in ("estimators", "noise_mm"):
             data[name] = tuple(data[name])
         return Evaluation(source, **data)
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ReorientError(f"broken {str(file)!r} ({error}): expected what `reorient evaluate` wrote") from error
 
 
