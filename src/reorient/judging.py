@@ -148,14 +148,21 @@ class Shards:
 
 
 def read(folder: Path) -> Shards:
-    """What ``make`` wrote. Raises ReorientError where there is nothing, or figures of another version."""
+    """What ``make`` wrote. Raises ReorientError for nothing, a broken file, and figures of another version."""
     parts = []
     for file in sorted(folder.glob("shard-*.npz")):
-        with np.load(file, allow_pickle=False) as arrays:
-            if tuple(arrays["features"].tolist()) != FEATURES:
-                raise ReorientError(f"{str(file)!r} holds other figures: expected those of this version, made anew")
-            if "figures" in arrays:
-                parts.append([arrays[name] for name in ("figures", "error_deg", "pair", "object")])
+        try:
+            with np.load(file, allow_pickle=False) as arrays:
+                if tuple(arrays["features"].tolist()) != FEATURES:
+                    raise ReorientError(f"{str(file)!r} holds other figures: expected those of this version, made anew")
+                if "figures" in arrays:
+                    parts.append([arrays[name] for name in ("figures", "error_deg", "pair", "object")])
+        except ReorientError:
+            raise
+        except Exception as error:  # numpy raises whatever it likes on broken files
+            raise ReorientError(
+                f"cannot read {str(file)!r} ({type(error).__name__}: {error}): expected what `judge make` wrote"
+            ) from error
     if not parts:
         raise ReorientError(f"no shards in {str(folder)!r}: expected what `reorient judge make` wrote")
     return Shards(*(np.concatenate(column) for column in zip(*parts, strict=True)))
