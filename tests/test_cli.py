@@ -164,6 +164,23 @@ def test_orient_with_limits_a_record_and_its_replay(capsys, tmp_path, monkeypatc
     assert "no record in" in refused(capsys, "replay", tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("broken", "said"),
+    [
+        ({"estimator": 3}, "unknown estimator '3'"),
+        *(
+            ({"strategy": strategy}, "the record does not say how it was made")
+            for strategy in (["algorithm1", "x"], ["algorithm1", "x", None, None], ["auto", "x", None, None], [3] * 4)
+        ),
+    ],
+)
+def test_broken_records_are_refused(broken, said, capsys, tmp_path, unchecked):
+    (tmp_path / "goal.npz").write_bytes(_depth(tmp_path).read_bytes())
+    record = {"estimator": "fast", "strategy": ["auto"] + [None] * 3, "largest_step_deg": 180, "pivot_m": None}
+    (tmp_path / "record.json").write_text(json.dumps(record | {"acts": []} | broken))
+    assert said in refused(capsys, "replay", tmp_path)
+
+
 def test_the_strategy_follows_the_confidence(capsys, tmp_path, monkeypatch):
     """Algorithm 1 for a class of one's own that has none; for one that has, only if its settings are given."""
     (tmp_path / "my_estimators.py").write_text(

@@ -190,6 +190,8 @@ class Replay:
         station = ReplayedStation(self.record)
         try:
             estimator_name, (name, max_steps, eta, delta_deg) = station.record["estimator"], station.record["strategy"]
+            max_steps = None if max_steps is None else int(max_steps)
+            strategy = _strategy(str(name), max_steps, eta, delta_deg)
             most_deg = station.record.get("largest_total_deg")  # older records do not say
             limits = Limits(
                 np.radians(station.record["largest_step_deg"]),
@@ -201,7 +203,7 @@ class Replay:
             raise ReorientError(
                 f"the record does not say how it was made ({error}): expected one of `orient`"
             ) from error
-        strategy, estimator = _strategy(name, max_steps, eta, delta_deg), load_estimator(estimator_name)
+        estimator = load_estimator(str(estimator_name))
         if self.out is not None:
             make_folder(self.out)
         title = f"Record {self.record.name}"
