@@ -181,6 +181,11 @@ def test_broken_records_are_refused(broken, said, capsys, tmp_path, unchecked):
     assert said in refused(capsys, "replay", tmp_path)
 
 
+def test_the_judge_is_not_trained_without_the_extra(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr("reorient.cli.learning.find_spec", lambda module: None)
+    assert "sklearn is not installed: expected `pip install" in refused(capsys, "judge", "train", tmp_path, "judge.npz")
+
+
 def test_the_strategy_follows_the_confidence(capsys, tmp_path, monkeypatch):
     """Algorithm 1 for a class of one's own that has none; for one that has, only if its settings are given."""
     (tmp_path / "my_estimators.py").write_text(
