@@ -221,6 +221,7 @@ def test_a_failed_capture_leaves_the_old_goal(capsys, tmp_path, monkeypatch):
         "class Cell:\n    pivot_m = None\n    def capture(self):\n        raise OSError('no camera')\n"
         "    def rotate(self, R_step):\n        return R_step\n"
         "class Half:\n    pivot_m = None\n"
+        "class Wordy:\n    def __init__(self):\n        raise OSError('no camera\\n  on bus 3')\n"
     )
     monkeypatch.chdir(tmp_path)
     goal = tmp_path / "goal.npz"
@@ -229,6 +230,7 @@ def test_a_failed_capture_leaves_the_old_goal(capsys, tmp_path, monkeypatch):
     assert goal.read_bytes() == b"old"
     assert list(tmp_path.glob(".*goal*")) == []
     assert "has no capture, rotate" in refused(capsys, "capture", goal, "--station", "broken_cell:Half")
+    assert "(OSError: no camera on bus 3)" in refused(capsys, "capture", goal, "--station", "broken_cell:Wordy")
     assert "cannot make station" in refused(capsys, "capture", goal, "--station", "nowhere:Cell")
     assert "expected 'rendered' or my_module:MyStation" in refused(capsys, "capture", goal, "--station", "rendred")
     assert "expected an existing folder" in refused(capsys, "capture", tmp_path / "none" / "goal.npz")
@@ -291,6 +293,20 @@ def test_usage_errors_are_one_line(capsys, tmp_path):
     assert "Available subcommands: estimate, demo" in refused(capsys, "estmate")
     assert "--pairs" in refused(capsys, "evaluate", tmp_path, "--pairs", "many")
     assert "--far x: expected metres" in refused(capsys, "estimate", _depth(tmp_path), _depth(tmp_path), "--far", "x")
+
+
+@pytest.mark.parametrize(
+    "verb", [["evaluate", "out", "--pairs"], ["cell", "out", "--trials"], ["judge", "make", "out", "--pairs"]]
+)
+def test_what_a_config_refuses_is_said_in_its_own_words(verb, capsys):
+    assert refused(capsys, *verb, 0).startswith("reorient: expected at least one ")
+
+
+@pytest.mark.parametrize(
+    "wrong", [["--noise-mm", "nan"], ["--noise-mm", "inf"], ["--turn-deg", "nan"], ["--pose-seed", -1]]
+)
+def test_stations_that_cannot_be_rendered_are_refused(wrong, capsys, tmp_path):
+    assert "a turn and noise from 0 on, all finite" in refused(capsys, "capture", tmp_path / "goal.npz", *wrong)
 
 
 def test_outputs_that_cannot_be_made_are_refused_before_anything_moves(capsys, tmp_path):

@@ -44,8 +44,8 @@ class StationChoice:
 
         if self.station != "rendered":
             return load_station(self.station)
-        if min(self.object_index, self.pose_seed, self.turn_deg, self.noise_mm) < 0:
-            raise ReorientError("expected an object, a seed, a turn and noise from 0 on")
+        if not all(0 <= x < np.inf for x in (self.object_index, self.pose_seed, self.turn_deg, self.noise_mm)):
+            raise ReorientError("expected an object, a seed, a turn and noise from 0 on, all finite")
         objects = generated(self.object_index + 1)
         rng = np.random.default_rng(self.pose_seed)
         sensor = randomised(self.noise_mm / 1000)
