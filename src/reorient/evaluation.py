@@ -72,6 +72,7 @@ class Evaluation:
     """What to measure."""
 
     objects: ObjectSource = field(default_factory=ObjectSource)
+    """Whose pairs are drawn."""
     estimators: tuple[str, ...] = ("gicp", "icp")
     """Names of estimators; each has a row for every pair."""
     world: str = "benchmark"
@@ -85,6 +86,7 @@ class Evaluation:
     pivot: bool = False
     """Give the estimators the nominal pivot, up to 1 cm wrong along each axis."""
     seed: int = 0
+    """Of the pairs."""
 
     def __post_init__(self) -> None:
         """Raises ReorientError for what cannot be measured."""

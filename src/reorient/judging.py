@@ -37,17 +37,21 @@ class JudgeData:
     """What to make."""
 
     objects: ObjectSource = field(default_factory=lambda: ObjectSource(count=5000))
+    """Whose pairs are drawn."""
     pairs: int = 8
     """Of each object."""
     per_shard: int = 5
     """Objects of a file."""
     world: str = "benchmark"
+    """Preset of camera, size and distance: benchmark or paper."""
     most_noise_mm: float = 3.0
     """The noise is none for a quarter of the pairs, up to 1 mm for half, up to this for the rest."""
     most_wrong_focal: float = 0.02
     """Share by which the stated focal length may be wrong."""
     effort: str = "normal"
+    """Of the search that makes the hypotheses: fast, normal or thorough."""
     seed: int = 0
+    """Of the pairs."""
 
     def __post_init__(self) -> None:
         """Raises ReorientError for what cannot be made."""
