@@ -13,6 +13,7 @@ from reorient.calibration import (
     transform,
     write_calibration,
 )
+from reorient.depth_files import write_camera
 from reorient.errors import ReorientError
 
 
@@ -36,6 +37,16 @@ def test_a_file_says_what_was_written(tmp_path, mounted, both):
     assert (read.color is not None) == both
 
 
+def test_a_camera_is_what_read_camera_takes(tmp_path, mounted):
+    """Whoever has its file can put it in."""
+    write_camera(tmp_path / "camera.json", mounted.camera)
+    camera = json.loads((tmp_path / "camera.json").read_text())
+    for stated, shift in ((0.5, 0.0), (0.0, 0.5)):
+        block = {"camera": camera | {"pixel_centers_at": stated}, "T_world_camera": np.eye(4).tolist()}
+        (tmp_path / "cell.json").write_text(json.dumps({"depth": block}))
+        assert read_calibration(tmp_path / "cell.json").depth.camera.cx == mounted.camera.cx + shift
+
+
 def breakages():
     identity = np.eye(4).tolist()
     camera = {"width": 10, "height": 10, "fx": 9.0, "fy": 9.0, "cx": 5.0, "cy": 5.0}
@@ -48,7 +59,13 @@ def breakages():
             json.dumps({"depth": {"camera": camera, "T_world_camera": [[1, 1, 0, 0], *identity[1:]]}}),
             "rigid",
         ),
-        "an unknown key": (json.dumps({"depth": {"camera": camera | {"f": 1}, "T_world_camera": identity}}), "broken"),
+        "no camera": (json.dumps({"depth": {"camera": 3, "T_world_camera": identity}}), "broken .*a JSON object"),
+        "no principal point": (
+            json.dumps(
+                {"depth": {"camera": {k: v for k, v in camera.items() if k != "cy"}, "T_world_camera": identity}}
+            ),
+            "missing intrinsics in 'depth' .'cy'",
+        ),
         "no focal length": (
             json.dumps({"depth": {"camera": camera | {"fx": 0}, "T_world_camera": identity}}),
             "fx, fy > 0",

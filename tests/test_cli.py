@@ -165,6 +165,28 @@ def test_orient_with_limits_a_record_and_its_replay(capsys, tmp_path, monkeypatc
     assert "no record in" in refused(capsys, "replay", tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("broken", "said"),
+    [
+        ({"estimator": 3}, "unknown estimator '3'"),
+        *(
+            ({"strategy": strategy}, "the record does not say how it was made")
+            for strategy in (["algorithm1", "x"], ["algorithm1", "x", None, None], ["auto", "x", None, None], [3] * 4)
+        ),
+    ],
+)
+def test_broken_records_are_refused(broken, said, capsys, tmp_path, unchecked):
+    (tmp_path / "goal.npz").write_bytes(_depth(tmp_path).read_bytes())
+    record = {"estimator": "fast", "strategy": ["auto"] + [None] * 3, "largest_step_deg": 180, "pivot_m": None}
+    (tmp_path / "record.json").write_text(json.dumps(record | {"acts": []} | broken))
+    assert said in refused(capsys, "replay", tmp_path)
+
+
+def test_the_judge_is_not_trained_without_the_extra(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr("reorient.cli.learning.find_spec", lambda module: None)
+    assert "sklearn is not installed: expected `pip install" in refused(capsys, "judge", "train", tmp_path, "judge.npz")
+
+
 def test_the_strategy_follows_the_confidence(capsys, tmp_path, monkeypatch):
     """Algorithm 1 for a class of one's own that has none; for one that has, only if its settings are given."""
     (tmp_path / "my_estimators.py").write_text(
@@ -200,6 +222,7 @@ def test_a_failed_capture_leaves_the_old_goal(capsys, tmp_path, monkeypatch):
         "class Cell:\n    pivot_m = None\n    def capture(self):\n        raise OSError('no camera')\n"
         "    def rotate(self, R_step):\n        return R_step\n"
         "class Half:\n    pivot_m = None\n"
+        "class Wordy:\n    def __init__(self):\n        raise OSError('no camera\\n  on bus 3')\n"
     )
     monkeypatch.chdir(tmp_path)
     goal = tmp_path / "goal.npz"
@@ -208,6 +231,7 @@ def test_a_failed_capture_leaves_the_old_goal(capsys, tmp_path, monkeypatch):
     assert goal.read_bytes() == b"old"
     assert list(tmp_path.glob(".*goal*")) == []
     assert "has no capture, rotate" in refused(capsys, "capture", goal, "--station", "broken_cell:Half")
+    assert "(OSError: no camera on bus 3)" in refused(capsys, "capture", goal, "--station", "broken_cell:Wordy")
     assert "cannot make station" in refused(capsys, "capture", goal, "--station", "nowhere:Cell")
     assert "expected 'rendered' or my_module:MyStation" in refused(capsys, "capture", goal, "--station", "rendred")
     assert "expected an existing folder" in refused(capsys, "capture", tmp_path / "none" / "goal.npz")
@@ -273,11 +297,30 @@ def test_usage_errors_are_one_line(capsys, tmp_path):
     assert "--far x: expected metres" in refused(capsys, "estimate", _depth(tmp_path), _depth(tmp_path), "--far", "x")
 
 
+@pytest.mark.parametrize(
+    "verb", [["evaluate", "out", "--pairs"], ["cell", "out", "--trials"], ["judge", "make", "out", "--pairs"]]
+)
+def test_what_a_config_refuses_is_said_in_its_own_words(verb, capsys):
+    assert refused(capsys, *verb, 0).startswith("reorient: expected at least one ")
+
+
+@pytest.mark.parametrize(
+    "wrong", [["--noise-mm", "nan"], ["--noise-mm", "inf"], ["--turn-deg", "nan"], ["--pose-seed", -1]]
+)
+def test_stations_that_cannot_be_rendered_are_refused(wrong, capsys, tmp_path):
+    assert "a turn and noise from 0 on, all finite" in refused(capsys, "capture", tmp_path / "goal.npz", *wrong)
+
+
 def test_outputs_that_cannot_be_made_are_refused_before_anything_moves(capsys, tmp_path):
     (tmp_path / "file").write_text("")
     assert "cannot make folder" in refused(capsys, "demo", "--out", tmp_path / "file")
     assert "cannot make folder" in refused(capsys, "objects", "make", tmp_path / "file", "--count", 1)
     assert "cannot make folder" in refused(capsys, "evaluate", tmp_path / "file", "--count", 1, "--pairs", 1)
+
+
+@pytest.mark.parametrize("verb", [["estimate", "none.npz", "none.npz", "--explain"], ["objects", "montage"]])
+def test_pictures_of_an_unknown_kind_are_refused_before_the_work(verb, capsys, tmp_path):
+    assert "cannot write a picture as 'why.foo': expected one of .png" in refused(capsys, *verb, tmp_path / "why.foo")
 
 
 def _depth(folder: Path) -> Path:

@@ -79,6 +79,13 @@ def test_many_are_the_same_as_one_by_one(mesh):
         np.testing.assert_array_equal(estimate.R_goal_current, alone.R_goal_current)
 
 
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_pivot_each_or_none(mesh, workers):
+    pair = pair_of(mesh, 0, 40)
+    with pytest.raises(ReorientError, match="1 pivots for 3 pairs: expected one each"):
+        Default("fast").estimate_many([(pair.current, pair.goal)] * 3, [None], workers)
+
+
 @pytest.mark.parametrize("effort", ["fast", "normal", "thorough"])
 def test_every_effort_answers_and_has_its_calibration(mesh, effort):
     pair = pair_of(mesh, 2, 50, randomised(0.001))

@@ -127,6 +127,7 @@ def test_our_own_style_says_where_pixel_centres_are(stated, cx, tmp_path):
         ({"fx": 535.4, "fy": 539.2, "cx": 320.0, "cy": 240.0}, "missing intrinsics .*'width'"),
         (OPEN3D | {"width": float("inf")}, "missing intrinsics"),
         (OPEN3D | {"width": 0}, "camera of 0 x 480 px"),
+        (OPEN3D | {"width": 128.5}, "128.5 x 480 px: expected whole numbers"),
         ([1, 2, 3], "expected a JSON object"),
         (json.dumps(OPEN3D)[:60], "is not JSON"),
         ("", "is not JSON"),
@@ -220,6 +221,25 @@ def test_masks_are_true_where_not_zero(tmp_path, rng):
     assert "no mask at" in refusal(read_mask, tmp_path / "nowhere.png")
 
 
+@pytest.mark.parametrize(
+    ("mode", "value", "suffix"),
+    [
+        *((mode, value, ".png") for mode, value in (("1", 1), ("L", 1), ("I;16", 256), ("LA", (1, 0)), ("P", 3))),
+        *(("RGB", value, ".png") for value in ((1, 0, 0), (0, 0, 4))),
+        ("RGBA", (0, 2, 0, 0), ".png"),
+        ("F", 0.3, ".tif"),
+    ],
+)
+def test_any_colour_that_is_not_zero_is_the_object(mode, value, suffix, tmp_path):
+    """Whatever its alpha; and what is opaque alone is none."""
+    picture = Image.new(mode, (4, 3), (0, 0, 0, 255) if mode == "RGBA" else 0)
+    if mode == "P":
+        picture.putpalette([0, 0, 0] * 3 + [0, 0, 1])
+    picture.putpixel((1, 2), value)
+    picture.save(tmp_path / f"mask{suffix}")
+    assert np.argwhere(read_mask(tmp_path / f"mask{suffix}")).tolist() == [[2, 1]]
+
+
 # --- whole or absent ------------------------------------------------------------------------------------------------
 
 
@@ -247,6 +267,13 @@ def test_places_that_cannot_be_written_are_refused(tmp_path, image):
     (tmp_path / "folder.png").mkdir()
     assert "it is a folder, expected a file name" in refusal(write_depth, tmp_path / "folder.png", image)
     assert "cannot write depth as 'depth.jpg': expected one of" in refusal(write_depth, tmp_path / "depth.jpg", image)
+
+
+def test_millimetres_as_floats_are_refused_and_the_given_scale_explained(tmp_path, image):
+    np.save(tmp_path / "depth.npy", image.depth_m * 1000)
+    said = refusal(read_depth, tmp_path / "depth.npy", image.camera, scale_m=0.001)
+    assert "looks like millimetres" in said
+    assert "a scale is for integers, but" in said
 
 
 def test_a_scale_is_for_integers_only(tmp_path, camera):

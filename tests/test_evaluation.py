@@ -180,9 +180,10 @@ def test_refusals(finished, tmp_path):
     with pytest.raises(ReorientError, match="1 of 1 meshes are refused .*name the others with --only"):
         run(Evaluation(ObjectSource(meshes=tmp_path / "meshes")), tmp_path / "run")
     assert not (tmp_path / "run").exists()
-    (tmp_path / "config.json").write_text('{"config": ')
-    with pytest.raises(ReorientError, match="broken .*config.json"):
-        read_config(tmp_path)
+    for torn in ('{"config": ', '{"config": 3}', "[]"):
+        (tmp_path / "config.json").write_text(torn)
+        with pytest.raises(ReorientError, match="broken .*config.json"):
+            read_config(tmp_path)
     (tmp_path / "config.json").unlink()
     with pytest.raises(ReorientError, match="expected config.json"):
         read_config(tmp_path)

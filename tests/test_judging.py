@@ -48,6 +48,32 @@ def test_shards_of_another_config_are_not_mixed(shards):
         list(make(CONFIG, folder, workers=0))
 
 
+@pytest.mark.parametrize(
+    ("bad", "said"),
+    [
+        ({"effort": "foo"}, "unknown effort 'foo'"),
+        ({"world": "foo"}, "unknown world 'foo'"),
+        *(({name: 0}, "expected at least one pair") for name in ("pairs", "per_shard")),
+        ({"seed": -1}, "a seed from 0"),
+        *(({"most_noise_mm": value}, "expected finite noise") for value in (-1.0, np.nan, np.inf)),
+        *(({"most_wrong_focal": value}, "a share below 1") for value in (-0.1, 1.0, np.nan)),
+    ],
+)
+def test_what_cannot_be_made_is_refused(bad, said):
+    with pytest.raises(ReorientError, match=said):
+        JudgeData(**bad)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.99])
+def test_a_broken_shard_is_named(share, shards, tmp_path):
+    whole = (shards[0] / "shard-000000.npz").read_bytes()
+    (tmp_path / "shard-000000.npz").write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(
+        ReorientError, match="cannot read .*shard-000000.npz.*expected what `reorient judge make` wrote"
+    ):
+        read(tmp_path)
+
+
 def test_nothing_to_read(tmp_path):
     with pytest.raises(ReorientError, match="no shards in"):
         read(tmp_path)

@@ -51,6 +51,27 @@ def test_truncated_files_are_refused(suffix, share, mesh, tmp_path):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("suffix", [".off", ".obj"])
+def test_text_that_was_cut_off_is_refused_where_it_shows(suffix, mesh, tmp_path):
+    """Lines that are missing show in .off alone, which states their number."""
+    path = save(mesh, tmp_path / f"part{suffix}")
+    whole = path.read_text().rstrip()
+    for text in (whole, f"# OFF by hand\n{whole}\n\n"):
+        path.write_text(text)
+        assert len(load_mesh(path).faces) == len(mesh.faces)
+    short = [whole[: whole.rindex(" ")], whole[: whole.rindex("\n") + 2]]
+    for text in short + [whole[: whole.rindex("\n") + 1]] * (suffix == ".off"):
+        path.write_text(text)
+        with pytest.raises(ReorientError, match="cannot read mesh .*expected a complete file"):
+            load_mesh(path)
+
+
+@pytest.mark.parametrize("header", ["OFF\n4 1 0", "OFF 4 1 0", "COFF\n# four\n4 1 4"])
+def test_headers_of_off_files(header, tmp_path):
+    (tmp_path / "square.off").write_text(f"{header}\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n4 0 1 2 3 255 0 0")
+    assert len(load_mesh(tmp_path / "square.off").faces) == 2
+
+
 @pytest.mark.parametrize(
     ("name", "text"), [("part.obj", ""), ("part.obj", "v 0 0 0\nf 1 2 3\n"), ("part.xyzzy", "?"), ("part.npz", "?")]
 )

@@ -71,3 +71,18 @@ def test_names_with_spaces_and_like_stems(tmp_path, mesh):
     assert "my part" in objects.names
     (tmp_path / "only.txt").write_text("my part\n\n")
     assert ObjectSource(meshes=tmp_path, only=tmp_path / "only.txt").open().names == ("my part",)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (None, "expected object names, one a line"),
+        (b"\n \n", "expected object names, one a line"),
+        (b"\xff\xfe", "unknown object"),
+    ],
+)
+def test_lists_of_names_that_name_nothing(content, said, tmp_path):
+    if content is not None:
+        (tmp_path / "only.txt").write_bytes(content)
+    with pytest.raises(ReorientError, match=said):
+        ObjectSource(only=tmp_path / "only.txt").open()

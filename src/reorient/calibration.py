@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from reorient import so3
 from reorient.depth import Camera
+from reorient.depth_files import camera_from
 from reorient.errors import ReorientError
 from reorient.files import replacing
 
@@ -73,7 +74,7 @@ def read_calibration(path: str | Path) -> Calibration:
     try:
         data = json.loads(path.read_text(errors="replace"))
         color = data.get("color")
-        return Calibration(_mounted(data["depth"]), None if color is None else _mounted(color))
+        return Calibration(_mounted(data, "depth"), None if color is None else _mounted(data, "color"))
     except json.JSONDecodeError as error:
         raise ReorientError(f"calibration file {str(path)!r} is not JSON ({error})") from error
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -96,5 +97,5 @@ def write_calibration(path: str | Path, calibration: Calibration) -> None:
         temporary.write_text(json.dumps(data, indent=1) + "\n")
 
 
-def _mounted(data: dict[str, Any]) -> MountedCamera:
-    return MountedCamera(Camera(**data["camera"]), np.array(data["T_world_camera"], float))
+def _mounted(data: dict[str, Any], name: str) -> MountedCamera:
+    return MountedCamera(camera_from(data[name]["camera"], name), np.array(data[name]["T_world_camera"], float))

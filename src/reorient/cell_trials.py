@@ -43,6 +43,7 @@ class Experiment:
     """What to run."""
 
     source: ObjectSource = field(default_factory=lambda: ObjectSource(count=60, object_seed=100))
+    """Where the objects are drawn from."""
     objects: int = 5
     """How many of the source, drawn by a hash of the name among those without symmetry that the gripper can hold."""
     trials: int = 10
@@ -66,6 +67,7 @@ class Experiment:
     arm: Path | None = None
     """MJCF of another arm; none: the YuMi's left."""
     seed: int = 0
+    """Of the goals, the starts and the cell's errors."""
 
     def __post_init__(self) -> None:
         """Raises ReorientError for what cannot be run."""

@@ -31,7 +31,7 @@ def read_camera(path: str | Path) -> Camera:
         data = json.loads(text)
     except json.JSONDecodeError as error:
         raise ReorientError(f"camera file {str(path)!r} is not JSON ({error}): expected intrinsics") from error
-    return _camera_from(data, str(path))
+    return camera_from(data, str(path))
 
 
 def write_camera(path: str | Path, camera: Camera) -> None:
@@ -44,8 +44,8 @@ def read_depth(path: str | Path, camera: Camera | None = None, scale_m: float | 
     """A depth image from .png, .tif(f), .npy or .npz.
 
     ``camera``: its intrinsics, overriding what the file states; needed where it states none. ``scale_m``: metres per
-    unit of integer depth, overriding the file's own. Raises ReorientError for a missing, truncated or unknown file,
-    missing intrinsics, and whatever DepthImage refuses.
+    unit of integer depth, overriding the file's own; floats are metres whatever it is. Raises ReorientError for a
+    missing, truncated or unknown file, missing intrinsics, and whatever DepthImage refuses.
     """
     path = _existing(path, "depth image")
     if path.suffix.lower() not in SUFFIXES:
@@ -61,15 +61,21 @@ def read_depth(path: str | Path, camera: Camera | None = None, scale_m: float | 
             f"cannot read depth image {str(path)!r} ({type(error).__name__}: {error}): expected a complete file"
         ) from error
     if camera is None and "camera" in stated:
-        camera = _camera_from(stated["camera"], str(path))
+        camera = camera_from(stated["camera"], str(path))
     if camera is None:
         raise ReorientError(f"missing intrinsics for {str(path)!r}: expected a camera file (--camera camera.json)")
     if depth.ndim != 2:
         raise ReorientError(f"depth image {str(path)!r} has shape {depth.shape}: expected one channel, (height, width)")
-    if np.issubdtype(depth.dtype, np.integer) and (scale_m is not None or "scale_m" in stated):
+    integer = np.issubdtype(depth.dtype, np.integer)
+    if integer and (scale_m is not None or "scale_m" in stated):
         scale_m = stated["scale_m"] if scale_m is None else scale_m
         depth = depth * _check_scale(scale_m)
-    return DepthImage(depth, camera, stated.get("stamp_s"))
+    try:
+        return DepthImage(depth, camera, stated.get("stamp_s"))
+    except ReorientError as error:
+        if integer or scale_m is None:
+            raise
+        raise ReorientError(f"{error}; a scale is for integers, but {str(path)!r} holds {depth.dtype}") from error
 
 
 def write_depth(path: str | Path, image: DepthImage, scale_m: float = SCALE_M) -> None:
@@ -106,13 +112,17 @@ def write_depth(path: str | Path, image: DepthImage, scale_m: float = SCALE_M) -
 
 
 def read_mask(path: str | Path) -> np.ndarray:
-    """A boolean (height, width) mask, true where the picture or .npy array is not zero."""
+    """A boolean (height, width) mask, true where the .npy array or any colour of the picture is not zero."""
     path = _existing(path, "mask")
     try:
-        array = np.load(path) if path.suffix == ".npy" else np.asarray(Image.open(path).convert("L"))
+        if path.suffix == ".npy":
+            return np.load(path) != 0
+        with Image.open(path) as picture:
+            if picture.mode != "P" and len(picture.getbands()) == 1:  # numbers, which RGB would clip
+                return np.asarray(picture) != 0
+            return np.asarray(picture.convert("RGB")).max(axis=-1) > 0  # without transparency
     except Exception as error:
         raise ReorientError(f"cannot read mask {str(path)!r} ({error}): expected a picture or a .npy array") from error
-    return array != 0
 
 
 def _existing(path: str | Path, what: str) -> Path:
@@ -167,12 +177,17 @@ def _camera_data(camera: Camera) -> dict[str, Any]:
     return {name: getattr(camera, name) for name in names} | {"pixel_centers_at": 0.5}
 
 
-def _camera_from(data: Any, source: str) -> Camera:
+def camera_from(data: Any, source: str) -> Camera:
+    """Intrinsics from JSON that is read already, of the file ``source``; otherwise as ``read_camera``."""
     if not isinstance(data, dict):
         raise ReorientError(f"camera in {source!r}: expected a JSON object with width, height and intrinsics")
     offset = 0.5
     try:
         size = int(data["width"]), int(data["height"])
+        if size != (float(data["width"]), float(data["height"])):
+            raise ReorientError(
+                f"camera in {source!r} of {data['width']} x {data['height']} px: expected whole numbers"
+            )
         if "intrinsic_matrix" in data:  # Open3D, column-major
             K = np.array(data["intrinsic_matrix"], float).reshape(3, 3)
             K = K if np.any(K[2, :2]) else K.T  # some writers store rows

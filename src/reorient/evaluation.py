@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Float
 
 from reorient import so3
-from reorient.errors import ReorientError
+from reorient.errors import ReorientError, check_workers
 from reorient.estimators import load_estimator
 from reorient.estimators.base import Estimator, as_estimate
 from reorient.files import make_folder, replacing
@@ -72,6 +72,7 @@ class Evaluation:
     """What to measure."""
 
     objects: ObjectSource = field(default_factory=ObjectSource)
+    """Whose pairs are drawn."""
     estimators: tuple[str, ...] = ("gicp", "icp")
     """Names of estimators; each has a row for every pair."""
     world: str = "benchmark"
@@ -85,6 +86,7 @@ class Evaluation:
     pivot: bool = False
     """Give the estimators the nominal pivot, up to 1 cm wrong along each axis."""
     seed: int = 0
+    """Of the pairs."""
 
     def __post_init__(self) -> None:
         """Raises ReorientError for what cannot be measured."""
@@ -124,8 +126,7 @@ def measure_pairs(
 ) -> Iterator[tuple[int, int]]:
     """As ``evaluate``, with any measure. ``own``: what else the rows depend on, in words; kept in ``config.json``."""
     load_world(config.world)
-    if workers < 1:
-        raise ReorientError(f"{workers} workers: expected at least 1")
+    check_workers(workers)
     names = _loadable(config.objects.open(), config.pairs)
     _write_config(config, make_folder(out), workers, own)
     partial_file, finished = out / "rows.partial.csv", out / "rows.csv.gz"
@@ -172,7 +173,7 @@ def read_config(path: Path) -> Evaluation:
         for name in ("estimators", "noise_mm"):
             data[name] = tuple(data[name])
         return Evaluation(source, **data)
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ReorientError(f"broken {str(file)!r} ({error}): expected what `reorient evaluate` wrote") from error
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from reorient import so3
 from reorient.cell_trials import Experiment, chosen, close_loop, estimator_and_strategy, stage
 from reorient.controller import OrientResult
-from reorient.errors import ReorientError
+from reorient.errors import ReorientError, check_workers
 from reorient.evaluation import Row
 from reorient.files import make_folder, replacing, whole_lines, write_table
 from reorient.provenance import run_record
@@ -37,8 +37,7 @@ def run(config: Experiment, out: Path, workers: int = 1) -> Iterator[tuple[int, 
     Each finished trial is kept in ``trials.jsonl`` until then, so that an interrupted run goes on where it stopped.
     Raises ReorientError where ``out`` holds another experiment.
     """
-    if workers < 1:
-        raise ReorientError(f"{workers} workers: expected at least 1")
+    check_workers(workers)
     names = _begun(config, make_folder(out), workers)
     tasks = [
         (config, name, trial, limits)

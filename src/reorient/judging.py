@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from numpy.random import Generator
 
 from reorient.depth import DepthImage
-from reorient.errors import ReorientError
+from reorient.errors import ReorientError, check_workers, unknown_name
 from reorient.estimators.default import pose
 from reorient.estimators.judge import FEATURES, features
 from reorient.estimators.search import EFFORTS, search
@@ -37,24 +37,40 @@ class JudgeData:
     """What to make."""
 
     objects: ObjectSource = field(default_factory=lambda: ObjectSource(count=5000))
+    """Whose pairs are drawn."""
     pairs: int = 8
     """Of each object."""
     per_shard: int = 5
     """Objects of a file."""
     world: str = "benchmark"
+    """Preset of camera, size and distance: benchmark or paper."""
     most_noise_mm: float = 3.0
     """The noise is none for a quarter of the pairs, up to 1 mm for half, up to this for the rest."""
     most_wrong_focal: float = 0.02
     """Share by which the stated focal length may be wrong."""
     effort: str = "normal"
+    """Of the search that makes the hypotheses: fast, normal or thorough."""
     seed: int = 0
+    """Of the pairs."""
+
+    def __post_init__(self) -> None:
+        """Raises ReorientError for what cannot be made."""
+        load_world(self.world)
+        if self.effort not in EFFORTS:
+            raise unknown_name("effort", self.effort, list(EFFORTS))
+        if min(self.pairs, self.per_shard) < 1 or self.seed < 0:
+            raise ReorientError("expected at least one pair an object and object a file, and a seed from 0")
+        if not (0 <= self.most_noise_mm < np.inf and 0 <= self.most_wrong_focal < 1):
+            raise ReorientError(
+                f"noise up to {self.most_noise_mm} mm, focal length wrong by {self.most_wrong_focal}: expected finite "
+                "noise from 0 and a share below 1"
+            )
 
 
 def make(config: JudgeData, out: Path, workers: int = 1) -> Iterator[tuple[int, int]]:
     """Write the shards, yielding (done, all). Those that are there already stay. Raises ReorientError where they are of
     another config, and for no workers."""
-    if workers < 1:
-        raise ReorientError(f"{workers} workers: expected at least 1")
+    check_workers(workers)
     names = config.objects.open().names
     keep_record(make_folder(out) / "config.json", config, f"what is in {str(out)!r}")
     tasks = [
@@ -136,14 +152,21 @@ class Shards:
 
 
 def read(folder: Path) -> Shards:
-    """What ``make`` wrote. Raises ReorientError where there is nothing, or figures of another version."""
+    """What ``make`` wrote. Raises ReorientError for nothing, a broken file, and figures of another version."""
     parts = []
     for file in sorted(folder.glob("shard-*.npz")):
-        with np.load(file, allow_pickle=False) as arrays:
-            if tuple(arrays["features"].tolist()) != FEATURES:
-                raise ReorientError(f"{str(file)!r} holds other figures: expected those of this version, made anew")
-            if "figures" in arrays:
-                parts.append([arrays[name] for name in ("figures", "error_deg", "pair", "object")])
+        try:
+            with np.load(file, allow_pickle=False) as arrays:
+                if tuple(arrays["features"].tolist()) != FEATURES:
+                    raise ReorientError(f"{str(file)!r} holds other figures: expected those of this version, made anew")
+                if "figures" in arrays:
+                    parts.append([arrays[name] for name in ("figures", "error_deg", "pair", "object")])
+        except ReorientError:
+            raise
+        except Exception as error:  # numpy raises whatever it likes on broken files
+            raise ReorientError(
+                f"cannot read {str(file)!r} ({type(error).__name__}: {error}): expected what `judge make` wrote"
+            ) from error
     if not parts:
         raise ReorientError(f"no shards in {str(folder)!r}: expected what `reorient judge make` wrote")
     return Shards(*(np.concatenate(column) for column in zip(*parts, strict=True)))

@@ -26,6 +26,7 @@ def load_mesh(path: str | Path) -> trimesh.Trimesh:
                 mesh = trimesh.Trimesh(arrays["v"].astype(float), arrays["f"].astype(int), process=False)
         else:
             mesh = trimesh.load(path, force="mesh", process=False)
+            _check_end(path)
     except ReorientError:
         raise
     except Exception as error:  # the loaders of a dozen formats raise whatever they like
@@ -34,6 +35,21 @@ def load_mesh(path: str | Path) -> trimesh.Trimesh:
             "loads, or .npz with v (n, 3) and f (m, 3)"
         ) from error
     return check_surface(mesh, str(path))
+
+
+def _check_end(path: Path) -> None:
+    """Raise ValueError for text that was cut off where trimesh takes what is left of it for a mesh."""
+    if path.suffix.lower() == ".off":
+        bare = "\n".join(line.partition("#")[0] for line in path.read_text(errors="replace").splitlines())
+        lines = [words for line in bare.partition("OFF")[2].splitlines() if (words := line.split())]
+        vertices, faces = int(lines[0][0]), int(lines[0][1])
+        whole = sum(len(face) > int(face[0]) for face in lines[1 + vertices : 1 + vertices + faces])
+        if whole < faces:
+            raise ValueError(f"{whole} of {faces} faces")
+    if path.suffix.lower() == ".obj":
+        last = path.read_bytes().rpartition(b"\n")[2].split()
+        if last and last[0] in (b"v", b"vn", b"f") and len(last) < 4:
+            raise ValueError("the last line ends early")
 
 
 def check_surface(mesh: object, name: str = "mesh") -> trimesh.Trimesh:

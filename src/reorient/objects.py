@@ -143,9 +143,11 @@ class ObjectSource:
             objects = generated(self.count, self.object_seed)
         if self.only is None:
             return objects
-        if not self.only.is_file():
-            raise ReorientError(f"no file {str(self.only)!r}: expected object names, one a line")
-        return objects.only([line.strip() for line in self.only.read_text().splitlines() if line.strip()])
+        lines = self.only.read_text(errors="replace").splitlines() if self.only.is_file() else []
+        names = [line.strip() for line in lines if line.strip()]
+        if not names:
+            raise ReorientError(f"no names in {str(self.only)!r}: expected object names, one a line")
+        return objects.only(names)
 
 
 def _generate(name: str) -> trimesh.Trimesh:

@@ -23,7 +23,7 @@ from zarr.codecs import BloscCodec
 
 from reorient import so3
 from reorient.depth import Camera
-from reorient.errors import ReorientError
+from reorient.errors import ReorientError, check_workers
 from reorient.meshes import MOST_VERTICES, some_vertices
 from reorient.objects import ObjectSource
 from reorient.pairs import PairSet, sample_pair
@@ -61,8 +61,7 @@ def generate(
     ``backend``: processes of this machine (loky), or a Ray cluster: one that runs, else one started here. Raises
     ReorientError where ``path`` holds another set or something else.
     """
-    if workers < 1:
-        raise ReorientError(f"{workers} workers: expected at least 1")
+    check_workers(workers)
     group = _create(config, str(path))
     shard = config.chunk * CHUNKS_A_SHARD
     total = cast(Any, group[WHOLE]).shape[0]
@@ -102,7 +101,9 @@ class Cost:
 
 
 def estimate_cost(config: PairSet, path: str | Path, workers: int = 1) -> Cost:
-    """Time and disk of the whole set, from a few pairs made now. Raises ReorientError where the disk is too small."""
+    """Time and disk of the whole set, from a few pairs made now. Raises ReorientError where the disk is too small, and
+    for no workers."""
+    check_workers(workers)
     names = config.objects.open().names
     total = len(names) * config.pairs_per_object
     rng = np.random.default_rng(config.seed)

@@ -75,15 +75,19 @@ class PairSet:
     """What to draw."""
 
     objects: ObjectSource = field(default_factory=ObjectSource)
+    """Whose pairs are drawn."""
     pairs_per_object: int = 200
+    """Each from a start and a turn of its own."""
     world: str = "paper"
     """Preset of camera, size and distance: paper or benchmark."""
     low_deg: float = 0.0
+    """Smallest angle between start and goal."""
     high_deg: float = 30.0
-    """Range of the angle between start and goal."""
+    """Largest angle between start and goal."""
     noise_mm: float = 0.0
     """Depth noise of the structured-light sensor; 0: rectangle and dropouts alone."""
     seed: int = 0
+    """Of the pairs."""
 
     def __post_init__(self) -> None:
         """Raises ReorientError for what cannot be drawn."""

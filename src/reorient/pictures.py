@@ -26,6 +26,7 @@ _TINTS = np.array([(255, 226, 178), (244, 176, 132), (196, 132, 150), (112, 118,
 _KEY, _FILL = (np.array(v) / np.linalg.norm(v) for v in ([-0.55, -0.75, -0.75], [0.9, 0.15, -0.5]))
 _OUTLINE_PX = 0.6  # still keeps bars one pixel wide
 _COLOURS = 128  # of a GIF
+SUFFIXES = (".png", ".jpg", ".jpeg")
 _RETURNED, _FILLED = np.array([80, 200, 120]), np.array([250, 170, 30])
 
 
@@ -145,6 +146,12 @@ def write_gif(path: str | Path, frames: Sequence[Image.Image], frame_ms: int, la
     durations = [frame_ms] * len(rest) + [last_frame_ms]
     with replacing(path) as temporary:
         first.save(temporary, "GIF", save_all=True, append_images=rest, duration=durations, loop=0, optimize=True)
+
+
+def check_suffix(path: Path) -> None:
+    """Raise ReorientError for a file that a picture cannot be written to, best before there is one to write."""
+    if path.suffix.lower() not in SUFFIXES:
+        raise ReorientError(f"cannot write a picture as {path.name!r}: expected one of {', '.join(SUFFIXES)}")
 
 
 def png_data_uri(picture: Image.Image) -> str:

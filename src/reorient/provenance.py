@@ -28,12 +28,16 @@ def keep_record(file: Path, config: Any, run: str) -> None:
         with replacing(file) as temporary:
             temporary.write_text(json.dumps(record, indent=2) + "\n")
         return
-    try:
-        same = json.loads(file.read_text())["config"] == record["config"]
-    except (ValueError, KeyError, TypeError) as error:
-        raise ReorientError(f"broken {str(file)!r} ({error}): expected the config of a run") from error
-    if not same:
+    if read_record(file).get("config") != record["config"]:
         raise ReorientError(f"{run} is of another config: expected the same, or a new folder")
+
+
+def read_record(file: Path) -> dict[str, Any]:
+    """What is kept in ``file``. Raises ReorientError where it is torn or something else."""
+    try:
+        return dict(json.loads(file.read_text()))
+    except (ValueError, TypeError) as error:
+        raise ReorientError(f"broken {str(file)!r} ({error}): expected the config of a run") from error
 
 
 def commit() -> str | None:

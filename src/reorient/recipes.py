@@ -20,6 +20,7 @@ class Training:
     """hybrid: mean in the first epoch, then ShapeMatch; mean; shapematch; chord: mean first, then |q - q_hat|. A warm
     start does without the first."""
     epochs: int = 100
+    """The most; ``patience`` may end it before."""
     batch: int = 64
     """Pairs a step, of one process."""
     lr: float = 0.0003
@@ -35,12 +36,15 @@ class Training:
     test_objects: int | None = None
     """Objects kept for testing, by a hash of the name; default: a fifth."""
     validation_pairs: int = 4096
+    """Pairs of other objects that are measured after each epoch."""
     precision: Literal["bf16-mixed", "32-true"] = "bf16-mixed"
+    """bf16-mixed: products in bfloat16, faster where the processor has it; 32-true: all in float32."""
     turned: float = 0.0
     """Share of pairs whose start is shown turned by an answer that is nearly right, as in a further round."""
     noise: float = 0.0
     """Largest standard deviation of depth noise added in training, of the width of the view."""
     seed: int = 0
+    """Of the first weights, the order of the pairs and what is drawn in training."""
 
     def __post_init__(self) -> None:
         """Raises ReorientError for what cannot be trained."""

@@ -41,6 +41,7 @@ class World:
     """p(object before the camera): which camera, how large the object, where its origin. Start and goal share it."""
 
     camera: Camera
+    """The camera of both images."""
     radius_m: float | None
     """Radius of the bounding sphere; None: sized by ``diagonal_m``."""
     diagonal_m: tuple[float, float]

@@ -9,7 +9,7 @@ import trimesh
 from rich.console import Console
 from rich.table import Table
 
-from reorient.errors import ReorientError
+from reorient.errors import ReorientError, check_workers
 from reorient.meshes import scale_to_radius
 from reorient.objects import ObjectSource
 from reorient.symmetry import SYMMETRIC_BELOW, rotation_group
@@ -20,8 +20,7 @@ CHUNK = 8  # objects a worker takes at once
 
 def describe(source: ObjectSource, workers: int = 1) -> Iterator[tuple[dict[str, str], int]]:
     """One row an object, in the set's order, with the number of objects in all."""
-    if workers < 1:
-        raise ReorientError(f"{workers} workers: expected at least 1")
+    check_workers(workers)
     names = source.open().names
     tasks = [(source, names[start : start + CHUNK]) for start in range(0, len(names), CHUNK)]
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:

@@ -11,6 +11,7 @@ import math
 import os
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from pickle import UnpicklingError
@@ -34,7 +35,7 @@ from reorient.files import make_folder, replacing
 from reorient.network import build
 from reorient.objects import split
 from reorient.pair_store import PairReader
-from reorient.provenance import commit
+from reorient.provenance import commit, read_record
 from reorient.recipes import LossName, Training, lr_at
 
 HALF = "_half"  # marks weights that an export stores as float16
@@ -99,10 +100,11 @@ def train(
     _begin(config, reader, out, fabric)
     last = out / "last.ckpt"
     if last.is_file():
-        saved_state = torch.load(last, weights_only=True)
-        network.load_state_dict(saved_state.pop("network"))
-        optimizer.load_state_dict(saved_state.pop("optimizer"))
-        state |= saved_state
+        with _loading(last, "what this training saved, or a new folder"):
+            saved_state = _last_state(last)
+            network.load_state_dict(saved_state.pop("network"))
+            optimizer.load_state_dict(saved_state.pop("optimizer"))
+            state |= saved_state
         if fabric.is_global_zero and not state["finished"]:
             _drop_rows_from(out, state["epoch"])
     vertices, counts = torch.from_numpy(reader.vertices), torch.from_numpy(reader.vertex_count)
@@ -208,22 +210,29 @@ def validate(
 def load_weights(network: nn.Module, path: Path) -> None:
     """A run's weights (.safetensors; .ckpt: its last) or an export's (.onnx) into a network. Raises ReorientError where
     they misfit."""
-    try:
+    with _loading(path, "the network's own"):
         if path.suffix == ".ckpt":
-            weights = _last_weights(path)
+            weights = _last_state(path)["network"]
         else:
             weights = _onnx_weights(path) if path.suffix == ".onnx" else load_file(path)
         known = network.state_dict()
         weights |= {key: known[key] for key in known if key.endswith("num_batches_tracked")}  # no export has it
         network.load_state_dict({key: value.to(known[key].dtype) for key, value in weights.items()})
-    except (OSError, SafetensorError, DecodeError, KeyError, RuntimeError) as error:
-        said = str(error).strip().splitlines()[0] if str(error) else type(error).__name__
-        raise ReorientError(f"cannot load weights {str(path)!r} ({said}): expected the network's own") from error
 
 
-def _last_weights(path: Path) -> dict[str, Tensor]:
+@contextmanager
+def _loading(path: Path, expected: str) -> Iterator[None]:
+    """Raises ReorientError for a file that is torn or another's, which the loaders say in many ways."""
     try:
-        return cast(dict[str, Tensor], torch.load(path, weights_only=True)["network"])
+        yield
+    except (OSError, SafetensorError, DecodeError, KeyError, RuntimeError, ValueError) as error:
+        said = str(error).strip().splitlines()[0] if str(error) else type(error).__name__
+        raise ReorientError(f"cannot load weights {str(path)!r} ({said}): expected {expected}") from error
+
+
+def _last_state(path: Path) -> dict[str, Any]:
+    try:
+        return dict(torch.load(path, weights_only=True))
     except (EOFError, UnpicklingError, TypeError) as error:  # whose advice is to load it unsafely
         raise RuntimeError("no state of a training") from error
 
@@ -245,7 +254,7 @@ def _begin(config: Training, reader: PairReader, out: Path, fabric: Fabric) -> N
     described = json.loads(json.dumps({"training": asdict(config), "pairs": asdict(reader.config)}, default=str))
     file = out / "config.json"
     if file.is_file():
-        if {k: v for k, v in json.loads(file.read_text()).items() if k in described} != described:
+        if {k: v for k, v in read_record(file).items() if k in described} != described:
             raise ReorientError(f"{str(out)!r} holds a training of another config: expected a new folder")
     elif fabric.is_global_zero:
         with replacing(file) as temporary:

@@ -1,6 +1,7 @@
 """Exported weights give what torch gives."""
 
 import numpy as np
+import onnx
 import onnxruntime
 import pytest
 import torch
@@ -49,3 +50,12 @@ def test_weights_of_another_network_are_refused(network, tmp_path):
     with pytest.raises(ReorientError, match="expected the network's own"):
         export(other, weights, tmp_path / "out.onnx")
     assert not (tmp_path / "out.onnx").exists()
+
+
+def test_another_network_is_no_estimator(tmp_path):
+    values = [onnx.helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, ["n", 3]) for name in ("x", "y")]
+    graph = onnx.helper.make_graph([onnx.helper.make_node("Identity", ["x"], ["y"])], "other", values[:1], values[1:])
+    opset = onnx.helper.make_opsetid("", 17)
+    onnx.save(onnx.helper.make_model(graph, opset_imports=[opset], ir_version=8), tmp_path / "other.onnx")
+    with pytest.raises(ReorientError, match="holds another network, .* expected .*what `reorient export` wrote"):
+        load_estimator(str(tmp_path / "other.onnx"))

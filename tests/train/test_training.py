@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -179,6 +180,27 @@ def test_misfits_are_refused(trained, small_set, tmp_path):
         load_preset("swfit")
     with pytest.raises(ReorientError, match="expected 0 < lr < 1"):
         Training(lr=-1)
+
+
+def test_a_run_of_which_a_file_is_torn_or_another_s_is_refused(trained, small_set, tmp_path):
+    out = tmp_path / "run"
+    shutil.copytree(trained[0], out)
+    whole = (out / "last.ckpt").read_bytes()
+    torch.save({"state_dict": {}}, tmp_path / "foreign.ckpt")
+    state = torch.load(trained[0] / "last.ckpt", weights_only=True)
+    torch.save(state | {"optimizer": {"state": {}, "param_groups": []}}, tmp_path / "other.ckpt")
+    foreign = [(tmp_path / name).read_bytes() for name in ("foreign.ckpt", "other.ckpt")]
+    for content in (b"", b"no checkpoint", whole[: len(whole) // 2], *foreign):
+        (out / "last.ckpt").write_bytes(content)
+        with pytest.raises(ReorientError, match=r"cannot load weights .* expected what this training saved, or a new"):
+            run(DEBUG, small_set, out)
+    for content in ('{"training": ', "[1]", "3"):
+        (out / "config.json").write_text(content)
+        with pytest.raises(ReorientError, match="broken .*config.json.* expected the config of a run"):
+            run(DEBUG, small_set, out)
+    (out / "config.json").write_text("[]")
+    with pytest.raises(ReorientError, match="holds a training of another config"):
+        run(DEBUG, small_set, out)
 
 
 def test_schedules():

@@ -27,7 +27,7 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         _parse(sys.argv[1:] if arguments is None else arguments).run()
     except ReorientError as error:
-        print(f"reorient: {error}", file=sys.stderr)
+        print("reorient:", *map(str.strip, str(error).splitlines()), file=sys.stderr)  # a station may say several lines
         sys.exit(2)
     except OSError as error:  # a full disk, a closed pipe
         print(f"reorient: {error.strerror or error} {error.filename or ''}".strip(), file=sys.stderr)
@@ -54,5 +54,6 @@ def _parse(arguments: list[str]) -> Any:
     except SystemExit as ended:
         if ended.code != 2:
             raise
-        words = " ".join(re.sub(r"[\u2500-\u257f]", " ", said.getvalue()).split())
+        words = " ".join(re.sub(r"[\u2500-\u257f]|-{9,}", " ", said.getvalue()).split())
+        words = re.sub(r"^Value error Error parsing (?!--)\S+: ", "", words)  # a config's own refusal, not a flag's
         raise ReorientError(words.partition(" For full helptext")[0] + " (see --help)") from ended

@@ -92,13 +92,17 @@ class Estimate:
     json: bool = False
     """Print one JSON object instead of words."""
     explain: Path | None = None
-    """Draw current, goal, current turned by the answer, and where they disagree (.png)."""
+    """Draw current, goal, current turned by the answer, and where they disagree (.png, .jpg)."""
 
     def run(self) -> None:
         """Read, isolate, estimate, print, draw."""
         from reorient.estimators import load_estimator
         from reorient.estimators.base import as_estimate
 
+        if self.explain is not None:
+            from reorient.pictures import check_suffix
+
+            check_suffix(self.explain)
         estimator = load_estimator(self.estimator)
         current, goal = self.frames.read(self.current, 0), self.frames.read(self.goal, 1)
         pivot_m = None if self.pivot is None else np.array(self.pivot)

@@ -6,6 +6,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, subcommand
 
+from reorient.cli.learning import require
 from reorient.cli.progress import show_progress
 from reorient.judging import JudgeData
 
@@ -47,6 +48,7 @@ class Train:
 
     def run(self) -> None:
         """Read, train, write, print."""
+        require("train", "sklearn")
         from reorient.judging import read, train
 
         folders = {"fast": self.fast, "thorough": self.thorough}

@@ -16,7 +16,8 @@ from reorient.pairs import PairSet
 from reorient.recipes import PRESETS, NetworkName
 
 
-def _require(extra: str, *modules: str) -> None:
+def require(extra: str, *modules: str) -> None:
+    """Raise ReorientError, naming the extra, where one of its modules is not installed."""
     if missing := [module for module in modules if find_spec(module) is None]:
         raise ReorientError(f"{missing[0]} is not installed: expected `pip install 'reorient[{extra}]'`")
 
@@ -39,7 +40,7 @@ class Generate:
 
     def run(self) -> None:
         """Say what it will take, then draw."""
-        _require("train", "zarr", "joblib")
+        require("train", "zarr", "joblib")
         import os
 
         from reorient.pair_store import estimate_cost, generate
@@ -77,7 +78,7 @@ class Train:
 
     def run(self) -> None:
         """Train, showing loss and validation error."""
-        _require("train", "torch", "lightning_fabric", "zarr", "safetensors", "tensorboard")
+        require("train", "torch", "lightning_fabric", "zarr", "safetensors", "tensorboard")
         import torch
 
         from reorient.training import train
@@ -120,7 +121,7 @@ class Export:
 
     def run(self) -> None:
         """Write."""
-        _require("train", "torch", "onnx", "onnxscript", "safetensors")
+        require("train", "torch", "onnx", "onnxscript", "safetensors")
         from reorient.export import export
 
         make_folder(self.out.parent)

@@ -128,7 +128,7 @@ class Montage:
     """
 
     out: Positional[Path]
-    """Picture to write (.png)."""
+    """Picture to write (.png, .jpg)."""
     objects: ObjectSource = field(default_factory=ObjectSource)
     columns: int = 10
     size_px: int = 128
@@ -136,8 +136,9 @@ class Montage:
 
     def run(self) -> None:
         """Render and write."""
-        from reorient.pictures import montage, shade_mesh
+        from reorient.pictures import check_suffix, montage, shade_mesh
 
+        check_suffix(self.out)
         if self.columns < 1 or self.size_px < 8:
             raise ReorientError(f"{self.columns} columns of {self.size_px} px: expected at least 1 of 8 px")
         objects = self.objects.open()

@@ -45,8 +45,8 @@ class StationChoice:
 
         if self.station != "rendered":
             return load_station(self.station)
-        if min(self.object_index, self.pose_seed, self.turn_deg, self.noise_mm) < 0:
-            raise ReorientError("expected an object, a seed, a turn and noise from 0 on")
+        if not all(0 <= x < np.inf for x in (self.object_index, self.pose_seed, self.turn_deg, self.noise_mm)):
+            raise ReorientError("expected an object, a seed, a turn and noise from 0 on, all finite")
         objects = generated(self.object_index + 1)
         rng = np.random.default_rng(self.pose_seed)
         sensor = randomised(self.noise_mm / 1000)
@@ -195,6 +195,8 @@ class Replay:
         station = ReplayedStation(self.record)
         try:
             estimator_name, (name, max_steps, eta, delta_deg) = station.record["estimator"], station.record["strategy"]
+            max_steps = None if max_steps is None else int(max_steps)
+            strategy = _strategy(str(name), max_steps, eta, delta_deg)
             most_deg = station.record.get("largest_total_deg")  # older records do not say
             limits = Limits(
                 np.radians(station.record["largest_step_deg"]),
@@ -206,7 +208,7 @@ class Replay:
             raise ReorientError(
                 f"the record does not say how it was made ({error}): expected one of `orient`"
             ) from error
-        strategy, estimator = _strategy(name, max_steps, eta, delta_deg), load_estimator(estimator_name)
+        estimator = load_estimator(str(estimator_name))
         if self.out is not None:
             make_folder(self.out)
         title = f"Record {self.record.name}"

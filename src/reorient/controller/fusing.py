@@ -66,6 +66,7 @@ class Fusing:
     max_steps: int = 40
     """Largest number of images."""
     most_moves: int = 12
+    """Largest number of moves."""
     tolerance_rad: float = float(np.radians(0.08))
     """Done when the averaged prediction is at most this, or not clearly above its own standard error."""
     patience: int = 3

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from reorient import so3
 from reorient.depth import DepthImage
-from reorient.errors import unknown_name
+from reorient.errors import ReorientError, unknown_name
 from reorient.estimators.base import History, RotationEstimate, check_pair, known_captures
 from reorient.estimators.evidence import weigh
 from reorient.estimators.gicp import FEWEST_POINTS, FINE
@@ -68,8 +68,11 @@ class Default:
         pivots_m: Sequence[Float[np.ndarray, "3"] | None] | None = None,
         workers: int | None = None,
     ) -> list[RotationEstimate]:
-        """``estimate`` for many (current, goal) pairs, on so many processes (None: one a core)."""
+        """``estimate`` for many (current, goal) pairs, on so many processes (None: one a core). Raises ReorientError
+        for another number of pivots."""
         pivots = [None] * len(pairs) if pivots_m is None else list(pivots_m)
+        if len(pivots) != len(pairs):
+            raise ReorientError(f"{len(pivots)} pivots for {len(pairs)} pairs: expected one each, or no pivots_m")
         currents, goals = [current for current, _ in pairs], [goal for _, goal in pairs]
         workers = min(workers or cpu_count() or 1, len(pairs))
         if workers <= 1:

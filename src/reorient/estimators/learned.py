@@ -16,11 +16,13 @@ from reorient.virtual_camera import VirtualCamera, aim, join, network_input, out
 
 SWIFT_ROUNDS = 3  # from the second on it is asked about what the answer so far leaves
 NEAR_RAD = float(np.radians(3))  # so little is left that the exchanged pair is like those it was trained on, too
+INTERFACE = [("images", 2, 128, 128), ("quat_wxyz", 4)]  # of an export: names and shapes, without the number of pairs
 
 
 @cache
 def load_session(weights: str | Path) -> Any:
-    """The ONNX Runtime session of weights in the package (a name) or of a file. Raises ReorientError without them."""
+    """The ONNX Runtime session of weights in the package (a name) or of a file. Raises ReorientError where
+    there are none, or those of something else."""
     import onnxruntime
 
     file = weights if isinstance(weights, Path) else resources.files("reorient") / "weights" / f"{weights}.onnx"
@@ -30,9 +32,15 @@ def load_session(weights: str | Path) -> Any:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     try:
-        return onnxruntime.InferenceSession(file.read_bytes(), options, providers=["CPUExecutionProvider"])
+        session = onnxruntime.InferenceSession(file.read_bytes(), options, providers=["CPUExecutionProvider"])
     except Exception as error:  # the runtime raises errors of its own
         raise ReorientError(f"cannot read weights {str(file)!r}: expected what `reorient export` wrote") from error
+    interface = [(x.name, *x.shape[1:]) for x in (*session.get_inputs(), *session.get_outputs())]
+    if interface != INTERFACE:
+        raise ReorientError(
+            f"{str(file)!r} holds another network, of {interface}: expected {INTERFACE}, what `reorient export` wrote"
+        )
+    return session
 
 
 class Learned:

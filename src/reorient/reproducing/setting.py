@@ -9,7 +9,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from reorient.errors import ReorientError
+from reorient.errors import check_workers
 from reorient.evaluation import Row
 from reorient.files import make_folder, whole_lines, write_table
 from reorient.objects import ObjectSource
@@ -77,8 +77,7 @@ def collect(
     goes on where it stopped. Raises ReorientError where rows of another config are there, and for no workers.
     """
     partial, described = (file.with_name(file.name.replace(".csv.gz", end)) for end in (".partial.jsonl", ".json"))
-    if workers < 1:
-        raise ReorientError(f"{workers} workers: expected at least 1")
+    check_workers(workers)
     keep_record(described, config, repr(str(file)))
     if file.is_file():
         yield len(tasks), len(tasks)
