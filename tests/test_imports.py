@@ -15,6 +15,7 @@ SOURCE = Path(__file__).parent.parent / "src" / "reorient"
 # come before the rest of theirs.
 ROOMS = [
     "errors",
+    "processes",
     "plugins",
     "files",
     "provenance",

@@ -9,12 +9,6 @@ class StationError(ReorientError):
     """The camera or the robot failed: no frame, a refused move."""
 
 
-def check_workers(workers: int) -> None:
-    """Raise ReorientError for a number of processes that can do nothing."""
-    if workers < 1:
-        raise ReorientError(f"{workers} workers: expected at least 1")
-
-
 def unknown_name(kind: str, name: str, known: list[str]) -> ReorientError:
     """The error for a name that nothing answers to: names all that would, and the nearest."""
     import difflib

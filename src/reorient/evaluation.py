@@ -12,10 +12,8 @@ import json
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, is_dataclass
 from functools import lru_cache, partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -23,12 +21,13 @@ import numpy as np
 from jaxtyping import Float
 
 from reorient import so3
-from reorient.errors import ReorientError, check_workers
+from reorient.errors import ReorientError
 from reorient.estimators import load_estimator
 from reorient.estimators.base import Estimator, as_estimate
 from reorient.files import make_folder, replacing
 from reorient.objects import ObjectSet, ObjectSource
 from reorient.pairs import Pair, sample_pair, view_overlap
+from reorient.processes import check_workers, processes
 from reorient.provenance import run_record
 from reorient.rendering import Renderer, load_world
 from reorient.sensing import randomised
@@ -139,7 +138,7 @@ def measure_pairs(
     tasks = [(config, measure, names[index % len(names)], index) for index in range(done, config.pairs)]
     yield done, config.pairs
     with (
-        ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool,
+        processes(workers) as pool,
         partial_file.open("a", newline="") as file,
     ):
         results = pool.map(_measure_pair, tasks) if workers > 1 else map(_measure_pair, tasks)

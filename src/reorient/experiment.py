@@ -8,8 +8,6 @@ segmented).
 
 import json
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +16,10 @@ import numpy as np
 from reorient import so3
 from reorient.cell_trials import Experiment, chosen, close_loop, estimator_and_strategy, stage
 from reorient.controller import OrientResult
-from reorient.errors import ReorientError, check_workers
+from reorient.errors import ReorientError
 from reorient.evaluation import Row
 from reorient.files import make_folder, replacing, whole_lines, write_table
+from reorient.processes import check_workers, processes
 from reorient.provenance import run_record
 
 NOT_STAGED = "not staged"
@@ -51,7 +50,7 @@ def run(config: Experiment, out: Path, workers: int = 1) -> Iterator[tuple[int, 
         return
     trials = [json.loads(line) for line in whole_lines(partial)]
     yield len(trials), len(tasks)
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool, partial.open("a") as file:
+    with processes(workers) as pool, partial.open("a") as file:
         left = tasks[len(trials) :]
         for trial in pool.map(_run_trial, left) if workers > 1 else map(_run_trial, left):
             file.write(json.dumps(trial) + "\n")

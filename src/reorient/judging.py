@@ -5,9 +5,7 @@ Training is offline only (extra ``train``: scikit-learn); what it writes needs n
 """
 
 from collections.abc import Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +14,14 @@ from jaxtyping import Bool, Float
 from numpy.random import Generator
 
 from reorient.depth import DepthImage
-from reorient.errors import ReorientError, check_workers, unknown_name
+from reorient.errors import ReorientError, unknown_name
 from reorient.estimators.default import pose
 from reorient.estimators.judge import FEATURES, features
 from reorient.estimators.search import EFFORTS, search
 from reorient.files import make_folder, replacing
 from reorient.objects import ObjectSource
 from reorient.pairs import Pair, sample_pair
+from reorient.processes import check_workers, processes
 from reorient.provenance import keep_record
 from reorient.rendering import Renderer, load_world
 from reorient.sensing import randomised
@@ -80,7 +79,7 @@ def make(config: JudgeData, out: Path, workers: int = 1) -> Iterator[tuple[int, 
     missing = [task for task in tasks if not task[2].is_file()]
     done = len(tasks) - len(missing)
     yield done, len(tasks)
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with processes(workers) as pool:
         for _ in pool.map(_make_shard, missing) if workers > 1 else map(_make_shard, missing):
             done += 1
             yield done, len(tasks)

@@ -23,10 +23,11 @@ from zarr.codecs import BloscCodec
 
 from reorient import so3
 from reorient.depth import Camera
-from reorient.errors import ReorientError, check_workers
+from reorient.errors import ReorientError
 from reorient.meshes import MOST_VERTICES, some_vertices
 from reorient.objects import ObjectSource
 from reorient.pairs import PairSet, sample_pair
+from reorient.processes import check_workers
 from reorient.rendering import Renderer, load_world
 from reorient.sensing import randomised
 

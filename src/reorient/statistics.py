@@ -1,17 +1,16 @@
 """What a set of objects is like: faces, genus, aspect, convexity, symmetry; and which of its meshes are refused."""
 
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 
 import numpy as np
 import trimesh
 from rich.console import Console
 from rich.table import Table
 
-from reorient.errors import ReorientError, check_workers
+from reorient.errors import ReorientError
 from reorient.meshes import scale_to_radius
 from reorient.objects import ObjectSource
+from reorient.processes import check_workers, processes
 from reorient.symmetry import SYMMETRIC_BELOW, rotation_group
 
 FIGURES = ("faces", "genus", "aspect", "convexity", "symmetry_residual")
@@ -23,7 +22,7 @@ def describe(source: ObjectSource, workers: int = 1) -> Iterator[tuple[dict[str,
     check_workers(workers)
     names = source.open().names
     tasks = [(source, names[start : start + CHUNK]) for start in range(0, len(names), CHUNK)]
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with processes(workers) as pool:
         for rows in pool.map(_describe_chunk, tasks) if workers > 1 else map(_describe_chunk, tasks):
             for row in rows:
                 yield row, len(names)

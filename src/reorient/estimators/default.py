@@ -5,8 +5,6 @@ the other rotations that may be meant where the object is symmetric or the views
 """
 
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from os import cpu_count
 
 import numpy as np
@@ -23,6 +21,7 @@ from reorient.estimators.judge import Judge, features, load_judge
 from reorient.estimators.refine import Hypotheses, Look, Problem, descend, normal_equations
 from reorient.estimators.search import EFFORTS, search
 from reorient.estimators.surface import Surface, frame_of
+from reorient.processes import processes
 
 FINE_TOLERANCE = 0.012  # depth difference that still fits, in sizes
 POLISH = (0.008, 0.006, 0.004, 0.003)  # tolerances of the last steps, in sizes, unless noise forbids
@@ -77,7 +76,7 @@ class Default:
         workers = min(workers or cpu_count() or 1, len(pairs))
         if workers <= 1:
             return [self.estimate(*task) for task in zip(currents, goals, pivots, strict=True)]
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        with processes(workers) as pool:
             return list(pool.map(self.estimate, currents, goals, pivots))
 
 

@@ -2,17 +2,15 @@
 
 import json
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from math import ceil
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from reorient.errors import check_workers
 from reorient.evaluation import Row
 from reorient.files import make_folder, whole_lines, write_table
 from reorient.objects import ObjectSource
+from reorient.processes import check_workers, processes
 from reorient.provenance import keep_record
 
 States = Iterator[tuple[int, int] | tuple[int, int, str]]
@@ -84,7 +82,7 @@ def collect(
         return
     lines = whole_lines(partial)
     yield len(lines), len(tasks)
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool, partial.open("a") as kept:
+    with processes(workers) as pool, partial.open("a") as kept:
         left = tasks[len(lines) :]
         for rows in pool.map(measure, left) if workers > 1 else map(measure, left):
             lines.append(json.dumps(rows) + "\n")
