@@ -95,6 +95,9 @@ def test_conclusions_name_the_winner_level_by_level():
     assert first == "Learning (swift) is ahead of geometry (gicp) at 1 of 2 levels: 5 mm."
     assert "swift is ahead at 5 mm (100% and 0%); gicp is ahead at 0 mm (0% and 100%)" in ours
     assert "paper is ahead at 0 mm (100% and 0%); it cannot be told at 5 mm (0% and 0%)" in papers
+    levels["0 mm"] = levels["5 mm"]
+    _, ours, _ = conclude({"depth noise, mm": levels})
+    assert "gicp: swift is ahead at every level, from 0 mm (100% and 0%) to 5 mm (100% and 0%)." in ours
 
 
 # --- baselines ------------------------------------------------------------------------------------------------------

@@ -25,13 +25,17 @@ def conclude(sweeps: Mapping[str, Mapping[str, Sequence[Row]]]) -> list[str]:
                 ahead[winner].append(f"{level} ({mine:.0%} and {other:.0%})")
                 if winner == RIVALS[0][0]:
                     wins.append(level)
-            parts = [f"{name} is ahead at {', '.join(at)}" for name, at in ahead.items() if name and at]
+            parts = [f"{name} is ahead at {_listed(at, len(levels))}" for name, at in ahead.items() if name and at]
             if ahead[""]:
-                parts.append(f"it cannot be told at {', '.join(ahead[''])}")
+                parts.append(f"it cannot be told at {_listed(ahead[''], len(levels))}")
             sentences.append(f"{sweep.capitalize()}; {learned} and {geometric}: {'; '.join(parts)}.")
     count = sum(len(levels) for levels in sweeps.values())
     first = f"Learning ({RIVALS[0][0]}) is ahead of geometry ({RIVALS[0][1]}) at {len(wins)} of {count} levels"
     return [first + (f": {', '.join(wins)}." if wins else "."), *sentences]
+
+
+def _listed(levels: Sequence[str], of: int) -> str:
+    return f"every level, from {levels[0]} to {levels[-1]}" if len(levels) == of > 1 else ", ".join(levels)
 
 
 def _compared(rows: Sequence[Row], learned: str, geometric: str) -> tuple[float, float, float, float]:
