@@ -26,7 +26,7 @@ def load_mesh(path: str | Path) -> trimesh.Trimesh:
                 mesh = trimesh.Trimesh(arrays["v"].astype(float), arrays["f"].astype(int), process=False)
         else:
             mesh = trimesh.load(path, force="mesh", process=False)
-            _check_end(path)
+            _check_end(path, len(getattr(mesh, "faces", ())))
     except ReorientError:
         raise
     except Exception as error:  # the loaders of a dozen formats raise whatever they like
@@ -37,8 +37,8 @@ def load_mesh(path: str | Path) -> trimesh.Trimesh:
     return check_surface(mesh, str(path))
 
 
-def _check_end(path: Path) -> None:
-    """Raise ValueError for text that was cut off where trimesh takes what is left of it for a mesh."""
+def _check_end(path: Path, loaded: int) -> None:
+    """Raise ValueError for text that was cut off where trimesh takes what is left of it, so many faces, for a mesh."""
     if path.suffix.lower() == ".off":
         bare = "\n".join(line.partition("#")[0] for line in path.read_text(errors="replace").splitlines())
         lines = [words for line in bare.partition("OFF")[2].splitlines() if (words := line.split())]
@@ -46,6 +46,13 @@ def _check_end(path: Path) -> None:
         whole = sum(len(face) > int(face[0]) for face in lines[1 + vertices : 1 + vertices + faces])
         if whole < faces:
             raise ValueError(f"{whole} of {faces} faces")
+    if path.suffix.lower() == ".ply":
+        header, _, body = path.read_bytes().partition(b"end_header")
+        stated = dict(line.split()[1:3] for line in header.splitlines() if line.startswith(b"element"))
+        rows = sum(map(int, stated.values()))
+        missing = len(body.split(b"\n")) <= rows or loaded < int(stated.get(b"face", 0))  # the first ends the header
+        if b"format ascii" in header and missing:
+            raise ValueError(f"fewer than {rows} whole lines")
     if path.suffix.lower() == ".obj":
         last = path.read_bytes().rpartition(b"\n")[2].split()
         if last and last[0] in (b"v", b"vn", b"f") and len(last) < 4:
