@@ -12,6 +12,8 @@ from reorient.depth import MILLIMETRES_ABOVE, DepthImage, require_isolated
 from reorient.errors import ReorientError
 from reorient.estimators.evidence import Evidence, View, weigh
 
+TOLERANCE = 0.018  # depth difference that still fits, of the object's size
+
 History = Sequence[tuple[DepthImage, Float[np.ndarray, "3 3"]]]
 """Earlier captures of the same held object, each with R_now_then."""
 
@@ -92,9 +94,6 @@ def known_captures(history: History) -> History:
     if not right:
         raise ReorientError("history: expected pairs (DepthImage, R_now_then), R_now_then a (3, 3) rotation matrix")
     return known
-
-
-TOLERANCE = 0.018  # depth difference that still fits, of the object's size
 
 
 def weighed(
