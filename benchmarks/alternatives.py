@@ -16,15 +16,15 @@ import tyro
 from rich.progress import track
 
 from reorient import load_estimator, so3
-from reorient.files import make_folder, write_table
-from reorient.objects import ObjectSource
-from reorient.pairs import sample_pair
-from reorient.rendering import Renderer, load_world
 from reorient.reporting.rows import wilson
 from reorient.reporting.trust import RIGHT_DEG
-from reorient.sensing import randomised
-from reorient.statistics import is_distinctive
-from reorient.symmetry import SymmetryGroup, rotation_group, symmetric_error
+from reorient.runs.files import make_folder, write_table
+from reorient.world.objects import ObjectSource
+from reorient.world.pairs import sample_pair
+from reorient.world.rendering import Renderer, load_world
+from reorient.world.sensing import randomised
+from reorient.world.statistics import is_distinctive
+from reorient.world.symmetry import SymmetryGroup, rotation_group, symmetric_error
 
 
 @dataclass(frozen=True)

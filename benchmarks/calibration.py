@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from reorient.files import replacing
 from reorient.reporting.rows import numbers, read_rows
 from reorient.reporting.trust import calibration_error, confident, figure, reliability, risk, said_and_right
+from reorient.runs.files import replacing
 
 
 @dataclass(frozen=True)

@@ -25,14 +25,14 @@ from rich.progress import track
 from reorient import Fusing, Limits, Proportional, load_estimator, orient, so3
 from reorient.controller import Strategy
 from reorient.errors import ReorientError
-from reorient.files import make_folder, write_table
-from reorient.objects import ObjectSource
-from reorient.rendering import load_world
-from reorient.sensing import randomised
+from reorient.runs.files import make_folder, write_table
 from reorient.stations.faulty import FaultyStation
 from reorient.stations.rendered import RenderedStation
-from reorient.statistics import is_distinctive
-from reorient.symmetry import SymmetryGroup, rotation_group, symmetric_error
+from reorient.world.objects import ObjectSource
+from reorient.world.rendering import load_world
+from reorient.world.sensing import randomised
+from reorient.world.statistics import is_distinctive
+from reorient.world.symmetry import SymmetryGroup, rotation_group, symmetric_error
 
 STRATEGIES: dict[str, Strategy] = {
     "algorithm1": Proportional(),  # K = 100, eta = 0.2, delta = 0.5 degrees, as in the paper's simulation

@@ -19,17 +19,17 @@ from jaxtyping import Float
 from rich.progress import track
 
 from reorient import DepthImage, load_estimator, so3
+from reorient.controller.arrival import STAYING_RAD, likeness, misfit
 from reorient.estimators.base import Estimator, RotationEstimate
 from reorient.estimators.default import pose
-from reorient.estimators.evidence import View
-from reorient.estimators.refine import Hypotheses, descend
-from reorient.files import make_folder, write_table
-from reorient.objects import ObjectSource
-from reorient.recognition import STAYING_RAD, likeness, misfit
-from reorient.rendering import load_world
-from reorient.sensing import Sensor, randomised
+from reorient.registration.evidence import View
+from reorient.registration.refine import Hypotheses, descend
+from reorient.runs.files import make_folder, write_table
 from reorient.stations.rendered import RenderedStation
-from reorient.statistics import is_distinctive
+from reorient.world.objects import ObjectSource
+from reorient.world.rendering import load_world
+from reorient.world.sensing import Sensor, randomised
+from reorient.world.statistics import is_distinctive
 
 WORLD = load_world("benchmark")
 ALIKE_RMS_M, FAR_OFF_M, MOST_FAR_OFF = 0.002, 0.01, 0.06  # what counts as nearly the same

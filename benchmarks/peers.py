@@ -19,7 +19,7 @@ from rich.console import Console
 
 from reorient.cli.progress import show_progress
 from reorient.errors import ReorientError
-from reorient.evaluation import Evaluation, evaluate
+from reorient.experiments.evaluation import Evaluation, evaluate
 from reorient.reporting import print_tables, read_rows
 
 PEERS = {

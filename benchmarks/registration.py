@@ -12,11 +12,11 @@ import small_gicp
 from jaxtyping import Float
 
 from reorient import so3
-from reorient.depth import DepthImage
 from reorient.errors import ReorientError
 from reorient.estimators.base import History, RotationEstimate, check_pair
-from reorient.estimators.evidence import View, agreement, size_m, weigh
 from reorient.estimators.gicp import COARSE, FEWEST_POINTS, FINE, FINE_TOLERANCE, MIDDLE, Stage
+from reorient.imaging import DepthImage
+from reorient.registration.evidence import View, agreement, size_m, weigh
 
 Points = Float[np.ndarray, "_ 3"]
 Motions = Float[np.ndarray, "k 4 4"]

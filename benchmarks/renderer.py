@@ -13,9 +13,9 @@ import numpy as np
 import trimesh
 
 from reorient import so3
-from reorient.pairs import sample_pair
-from reorient.rendering import Placement, Renderer, load_world
-from reorient.sensing import randomised
+from reorient.world.pairs import sample_pair
+from reorient.world.rendering import Placement, Renderer, load_world
+from reorient.world.sensing import randomised
 
 WORLD = load_world("benchmark")
 PLACEMENT = Placement(0.1, np.array([0.0, 0.0, 0.6]))

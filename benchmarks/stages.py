@@ -26,13 +26,13 @@ from reorient import load_estimator
 from reorient.cli.progress import show_progress
 from reorient.errors import ReorientError
 from reorient.estimators.default import pose
-from reorient.estimators.judge import features, load_judge
-from reorient.estimators.refine import Hypotheses, Problem
 from reorient.estimators.search import EFFORTS, Effort, search
-from reorient.evaluation import Evaluation, Row, answer_cells, measure_pairs
-from reorient.pairs import Pair
+from reorient.estimators.verifier import features, load_judge
+from reorient.experiments.evaluation import Evaluation, Row, answer_cells, measure_pairs
+from reorient.registration.refine import Hypotheses, Problem
 from reorient.reporting.rows import estimators, numbers, read_rows, wilson
-from reorient.symmetry import SymmetryGroup, symmetric_error
+from reorient.world.pairs import Pair
+from reorient.world.symmetry import SymmetryGroup, symmetric_error
 
 NORMAL = EFFORTS["normal"]
 REFERENCE = "judge"

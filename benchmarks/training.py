@@ -17,13 +17,13 @@ import numpy as np
 import torch
 import trimesh
 
-from reorient.batches import Augmentation, Batches
-from reorient.losses import mean_loss
-from reorient.network import build
-from reorient.objects import ObjectSource
-from reorient.pair_store import PairReader, generate
-from reorient.pairs import PairSet
-from reorient.recipes import PRESETS, Training
+from reorient.learning.batches import Augmentation, Batches
+from reorient.learning.losses import mean_loss
+from reorient.learning.network import build
+from reorient.learning.pair_store import PairReader, generate
+from reorient.learning.recipes import PRESETS, Training
+from reorient.world.objects import ObjectSource
+from reorient.world.pairs import PairSet
 
 OBJECTS, PAIRS = 8, 500
 ROUNDS = 30

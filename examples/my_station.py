@@ -10,10 +10,10 @@ away from where it was taught, and can only turn about the camera's vertical axi
 import numpy as np
 
 from reorient import DepthImage, so3
-from reorient.objects import generated
-from reorient.rendering import load_world
-from reorient.sensing import randomised
 from reorient.stations.rendered import RenderedStation
+from reorient.world.objects import generated
+from reorient.world.rendering import load_world
+from reorient.world.sensing import randomised
 
 
 class TurntableStation:
@@ -30,7 +30,7 @@ class TurntableStation:
         return self._cell.pivot_m
 
     def capture(self) -> DepthImage:
-        """Ask your camera for depth in metres, and isolate the object (reorient.depth.isolate)."""
+        """Ask your camera for depth in metres, and isolate the object (reorient.imaging.isolate)."""
         return self._cell.capture()
 
     def rotate(self, R_step: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ from jaxtyping import config, install_import_hook
 
 install_import_hook("reorient", "typecheck.checked")
 
-from reorient.depth import Camera  # noqa: E402 - the package comes after its hook
+from reorient.imaging import Camera  # noqa: E402 - the package comes after its hook
 
 
 @pytest.fixture

@@ -4,11 +4,11 @@
 """
 
 from reorient.controller import Fusing, Limits, OrientResult, Proportional, Step, orient
-from reorient.depth import Camera, DepthImage
+from reorient.controller.station import Station
 from reorient.errors import ReorientError, StationError
 from reorient.estimators import load_estimator
 from reorient.estimators.base import Estimator, RotationEstimate
-from reorient.stations.base import Station
+from reorient.imaging import Camera, DepthImage
 
 __version__ = "0.1.0.dev0"
 __all__ = [

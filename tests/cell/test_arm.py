@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from reorient import so3
-from reorient.calibration import transform
+from reorient import se3, so3
 from reorient.errors import ReorientError, StationError
 from reorient.stations.cell.arm import YUMI, Arm, turned
 
@@ -46,7 +45,7 @@ def test_inverse_kinematics_undoes_forward(arm, rng):
 
 
 def test_a_small_turn_is_a_small_move(arm):
-    level = transform(so3.exp(np.array([0.0, np.pi / 2, 0.0])), PLACE_M)
+    level = se3.transform(so3.exp(np.array([0.0, np.pi / 2, 0.0])), PLACE_M)
     joints_rad = arm.solve(level, arm.home_rad)
     next_rad = arm.solve(turned(level, so3.exp(np.radians([3.0, 2.0, -4.0])), PLACE_M), joints_rad)
     assert 0 < np.abs(next_rad - joints_rad).max() < np.radians(20)
@@ -54,7 +53,7 @@ def test_a_small_turn_is_a_small_move(arm):
 
 def test_out_of_reach_is_refused(arm):
     with pytest.raises(StationError, match="out of reach: no joint positions within the limits"):
-        arm.solve(transform(np.eye(3), np.array([2.0, 0.0, 0.3])), arm.home_rad)
+        arm.solve(se3.transform(np.eye(3), np.array([2.0, 0.0, 0.3])), arm.home_rad)
 
 
 def test_the_table_is_not_hit(arm):

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from reorient.cell_trials import Experiment, stage
 from reorient.cli import main
 from reorient.errors import ReorientError
-from reorient.experiment import run
+from reorient.experiments.cell import run
+from reorient.experiments.cell_trials import Experiment, stage
 from reorient.reporting.cell import read_loops
 
 SMALL = ["--objects", "1", "--trials", "1", "--count", "60"]

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from reorient import Proportional, Station, load_estimator, orient, so3
-from reorient.calibration import Calibration, moved
-from reorient.colour import ColourRange
+from reorient import Proportional, Station, load_estimator, orient, se3, so3
 from reorient.errors import ReorientError, StationError
-from reorient.perception import object_mask
+from reorient.perception.calibration import Calibration
+from reorient.perception.colour import ColourRange
+from reorient.perception.segmentation import object_mask
 from reorient.stations.cell import SimulatedCell
 from reorient.stations.cell.station import CellConfig
 
@@ -44,7 +44,7 @@ def test_it_reports_what_was_done_by_encoders(cell):
 
 
 def test_the_pivot_stays_and_is_where_the_object_turns(cell):
-    true_m = moved(cell.plant.depth.T_camera_world, cell.plant.tool_m)
+    true_m = se3.apply(cell.plant.depth.T_camera_world, cell.plant.tool_m)
     assert np.linalg.norm(cell.pivot_m - true_m) < 0.01
     cell.rotate(TURN)
     assert np.linalg.norm(cell.pivot_m - true_m) < 0.01

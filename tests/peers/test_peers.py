@@ -10,12 +10,12 @@ import peers
 from peers import NEEDS, PEERS, Peers
 from reorient import so3
 from reorient.errors import ReorientError
-from reorient.evaluation import Evaluation
-from reorient.objects import ObjectSource
-from reorient.pairs import sample_pair
-from reorient.rendering import Renderer, load_world
+from reorient.experiments.evaluation import Evaluation
 from reorient.reporting import markdown_table, read_rows
-from reorient.sensing import randomised
+from reorient.world.objects import ObjectSource
+from reorient.world.pairs import sample_pair
+from reorient.world.rendering import Renderer, load_world
+from reorient.world.sensing import randomised
 
 
 @pytest.fixture(scope="module")

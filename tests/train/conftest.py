@@ -3,9 +3,9 @@
 import pytest
 import torch
 
-from reorient.objects import ObjectSource
-from reorient.pair_store import generate
-from reorient.pairs import PairSet
+from reorient.learning.pair_store import generate
+from reorient.world.objects import ObjectSource
+from reorient.world.pairs import PairSet
 
 SMALL = PairSet(ObjectSource(count=8, object_seed=7), pairs_per_object=6)
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from reorient import so3
-from reorient.batches import Augmentation, Batches, prepare
-from reorient.pair_store import PairReader
-from reorient.virtual_camera import turned
+from reorient.imaging.virtual_camera import turned
+from reorient.learning.batches import Augmentation, Batches, prepare
+from reorient.learning.pair_store import PairReader
 
 
 def depth_of(images):

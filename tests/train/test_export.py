@@ -10,8 +10,8 @@ from safetensors.torch import save_file
 from reorient import so3
 from reorient.errors import ReorientError
 from reorient.estimators import load_estimator
-from reorient.export import export
-from reorient.network import build
+from reorient.learning.export import export
+from reorient.learning.network import build
 
 
 @pytest.fixture(params=["paper", "swift"])

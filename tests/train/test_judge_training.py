@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from reorient.estimators.judge import FEATURES, load_judge
-from reorient.judging import Shards, _fit, train
+from reorient.estimators.verifier import FEATURES, load_judge
+from reorient.learning.verifier import Shards, _fit, train
 
 
 def test_the_written_trees_are_the_trained_ones(tmp_path):

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from reorient import losses, so3
+from reorient import so3
+from reorient.learning import losses
 
 
 @pytest.fixture

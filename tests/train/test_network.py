@@ -5,10 +5,10 @@ import pytest
 import torch
 from torch import nn
 
-from reorient import losses
-from reorient.batches import prepare
-from reorient.network import build
-from reorient.pair_store import PairReader
+from reorient.learning import losses
+from reorient.learning.batches import prepare
+from reorient.learning.network import build
+from reorient.learning.pair_store import PairReader
 
 
 @pytest.mark.parametrize("name", ["paper", "swift"])

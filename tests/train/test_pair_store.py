@@ -15,10 +15,10 @@ import ray
 from conftest import SMALL
 from reorient import so3
 from reorient.errors import ReorientError
-from reorient.objects import ObjectSource
-from reorient.pair_store import PairReader, estimate_cost, generate
-from reorient.pairs import PairSet
-from reorient.rendering import Placement, Renderer, load_world
+from reorient.learning.pair_store import PairReader, estimate_cost, generate
+from reorient.world.objects import ObjectSource
+from reorient.world.pairs import PairSet
+from reorient.world.rendering import Placement, Renderer, load_world
 
 
 def digest(path):

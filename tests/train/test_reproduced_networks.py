@@ -6,13 +6,13 @@ import pytest
 import torch
 
 from reorient.cli import main
-from reorient.network import build
-from reorient.objects import generated
-from reorient.recipes import load_preset
+from reorient.learning.network import build
+from reorient.learning.recipes import load_preset
+from reorient.learning.training import load_weights
 from reorient.reporting.rows import read_table
 from reorient.reproducing import full, networks, non_symmetric
 from reorient.reproducing.figure import load_figure
-from reorient.training import load_weights
+from reorient.world.objects import generated
 
 
 @pytest.fixture

@@ -16,14 +16,14 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from reorient.batches import Augmentation, Batches
 from reorient.errors import ReorientError
-from reorient.export import export
-from reorient.network import build
-from reorient.objects import split
-from reorient.pair_store import PairReader
-from reorient.recipes import Training, load_preset, lr_at
-from reorient.training import load_weights, train
+from reorient.learning.batches import Augmentation, Batches
+from reorient.learning.export import export
+from reorient.learning.network import build
+from reorient.learning.pair_store import PairReader
+from reorient.learning.recipes import Training, load_preset, lr_at
+from reorient.learning.training import load_weights, train
+from reorient.world.objects import split
 
 DEBUG = load_preset("debug")
 
@@ -98,8 +98,8 @@ def test_interrupted_before_an_epoch_is_validated_it_resumes_exactly(trained, sm
 def test_killed_at_any_moment_it_ends_the_same(trained, small_set, tmp_path):
     out = tmp_path / "run"
     script = (
-        "import sys, torch; torch.set_num_threads(1); from reorient.recipes import load_preset; "
-        "from reorient.training import train; "
+        "import sys, torch; torch.set_num_threads(1); from reorient.learning.recipes import load_preset; "
+        "from reorient.learning.training import train; "
         f"[None for _ in train(load_preset('debug'), {str(small_set)!r}, __import__('pathlib').Path({str(out)!r}), "
         "save_every_s=0)]"
     )
@@ -215,8 +215,8 @@ TWO = """
 import sys, torch
 from dataclasses import replace
 from pathlib import Path
-from reorient.recipes import load_preset
-from reorient.training import train
+from reorient.learning.recipes import load_preset
+from reorient.learning.training import train
 
 torch.set_num_threads(1)
 config = replace(load_preset("debug"), batch=int(sys.argv[3]), epochs=3, lr=1e-3, loss="mean", dropout=0.0)

@@ -5,9 +5,9 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
-from reorient.cell_trials import Experiment
 from reorient.cli.progress import show_progress
-from reorient.experiment import run
+from reorient.experiments.cell import run
+from reorient.experiments.cell_trials import Experiment
 
 
 @dataclass(frozen=True)

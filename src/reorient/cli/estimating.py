@@ -11,8 +11,8 @@ from tyro.conf import Positional
 from reorient.errors import ReorientError
 
 if TYPE_CHECKING:
-    from reorient.depth import Camera, DepthImage
     from reorient.estimators.base import RotationEstimate
+    from reorient.imaging import Camera, DepthImage
 
 T = TypeVar("T")
 
@@ -37,8 +37,8 @@ class Frames:
 
     def read(self, path: Path, which: int) -> "DepthImage":
         """The isolated image; ``which``: 0 current, 1 goal."""
-        from reorient.depth import isolate
-        from reorient.depth_files import read_depth, read_mask
+        from reorient.imaging import isolate
+        from reorient.imaging.files import read_depth, read_mask
 
         camera_file, mask = _each(self.camera, which, "--camera"), _each(self.mask, which, "--mask")
         if len(self.box) not in (0, 4, 8):
@@ -54,7 +54,7 @@ class Frames:
         )
 
     def _camera(self, file: str | None) -> "Camera | None":
-        from reorient.depth_files import read_camera
+        from reorient.imaging.files import read_camera
 
         return None if file in (None, "-") else read_camera(file)
 
@@ -100,7 +100,7 @@ class Estimate:
         from reorient.estimators.base import as_estimate
 
         if self.explain is not None:
-            from reorient.pictures import check_suffix
+            from reorient.reporting.pictures import check_suffix
 
             check_suffix(self.explain)
         estimator = load_estimator(self.estimator)
@@ -108,8 +108,8 @@ class Estimate:
         pivot_m = None if self.pivot is None else np.array(self.pivot)
         estimate = as_estimate(estimator.estimate(current, goal, pivot_m), current, goal)
         if self.explain is not None:
-            from reorient.explaining import picture
-            from reorient.files import replacing
+            from reorient.reporting.explaining import picture
+            from reorient.runs.files import replacing
 
             with replacing(self.explain) as temporary:
                 picture(current, goal, estimate).save(temporary)
@@ -136,7 +136,7 @@ def _as_data(estimate: "RotationEstimate") -> dict[str, Any]:
 
 
 def _in_words(estimate: "RotationEstimate") -> str:
-    from reorient.explaining import in_words
+    from reorient.reporting.explaining import in_words
 
     data, evidence = _as_data(estimate), estimate.evidence
     rows = "\n           ".join(" ".join(f"{x:9.6f}" for x in row) for row in data["R_goal_current"])

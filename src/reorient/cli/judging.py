@@ -8,7 +8,7 @@ from tyro.conf import Positional, subcommand
 
 from reorient.cli.learning import require
 from reorient.cli.progress import show_progress
-from reorient.judging import JudgeData
+from reorient.learning.verifier import JudgeData
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Make:
 
     def run(self) -> None:
         """All shards that are missing."""
-        from reorient.judging import make
+        from reorient.learning.verifier import make
 
         show_progress("shards", make(self.config, self.out, self.workers))
 
@@ -49,7 +49,7 @@ class Train:
     def run(self) -> None:
         """Read, train, write, print."""
         require("train", "sklearn")
-        from reorient.judging import read, train
+        from reorient.learning.verifier import read, train
 
         folders = {"fast": self.fast, "thorough": self.thorough}
         others = {effort: read(folder) for effort, folder in folders.items() if folder is not None}

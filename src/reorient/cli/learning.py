@@ -11,9 +11,9 @@ from tyro.conf import Positional
 
 from reorient.cli.progress import show_progress
 from reorient.errors import ReorientError
-from reorient.files import make_folder
-from reorient.pairs import PairSet
-from reorient.recipes import PRESETS, NetworkName
+from reorient.learning.recipes import PRESETS, NetworkName
+from reorient.runs.files import make_folder
+from reorient.world.pairs import PairSet
 
 
 def require(extra: str, *modules: str) -> None:
@@ -43,7 +43,7 @@ class Generate:
         require("train", "zarr", "joblib")
         import os
 
-        from reorient.pair_store import estimate_cost, generate
+        from reorient.learning.pair_store import estimate_cost, generate
 
         workers = (os.cpu_count() or 1) if self.workers == -1 else self.workers
         cost = estimate_cost(self.config, self.out, workers)
@@ -81,7 +81,7 @@ class Train:
         require("train", "torch", "lightning_fabric", "zarr", "safetensors", "tensorboard")
         import torch
 
-        from reorient.training import train
+        from reorient.learning.training import train
 
         if self.threads is not None:
             torch.set_num_threads(self.threads)
@@ -122,7 +122,7 @@ class Export:
     def run(self) -> None:
         """Write."""
         require("train", "torch", "onnx", "onnxscript", "safetensors")
-        from reorient.export import export
+        from reorient.learning.export import export
 
         make_folder(self.out.parent)
         export(self.network, self.weights, self.out, self.compact)

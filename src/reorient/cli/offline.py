@@ -12,9 +12,9 @@ from tyro.conf import Positional, subcommand
 
 from reorient.cli.progress import show_progress
 from reorient.errors import ReorientError
-from reorient.evaluation import Evaluation, evaluate
-from reorient.files import make_folder, replacing, write_table
-from reorient.objects import ObjectSet, ObjectSource, split
+from reorient.experiments.evaluation import Evaluation, evaluate
+from reorient.runs.files import make_folder, replacing, write_table
+from reorient.world.objects import ObjectSet, ObjectSource, split
 
 
 def _console() -> Console:
@@ -44,7 +44,7 @@ class Make:
 
     def run(self) -> None:
         """One file an object; files already there are kept, so an interrupted run goes on."""
-        from reorient.meshes import scale_to_radius
+        from reorient.world.meshes import scale_to_radius
 
         objects = self.objects.open()
         make_folder(self.out)
@@ -79,8 +79,8 @@ class List:
 
     def run(self) -> None:
         """One name a line."""
-        from reorient.paper_filter import passes_paper_filter
-        from reorient.statistics import is_distinctive
+        from reorient.world.paper_filter import passes_paper_filter
+        from reorient.world.statistics import is_distinctive
 
         tests = [passes_paper_filter] * self.paper_filter + [is_distinctive] * self.distinctive
         objects = self.objects.open()
@@ -105,7 +105,7 @@ class Check:
 
     def run(self) -> None:
         """Measure, write, print percentiles."""
-        from reorient.statistics import describe, print_statistics
+        from reorient.world.statistics import describe, print_statistics
 
         rows: list[dict[str, str]] = []
 
@@ -136,7 +136,7 @@ class Montage:
 
     def run(self) -> None:
         """Render and write."""
-        from reorient.pictures import check_suffix, montage, shade_mesh
+        from reorient.reporting.pictures import check_suffix, montage, shade_mesh
 
         check_suffix(self.out)
         if self.columns < 1 or self.size_px < 8:
@@ -183,8 +183,8 @@ class Evaluate:
 
     def run(self) -> None:
         """Measure, then print the tables."""
-        from reorient.files import replacing
         from reorient.reporting import markdown_table, print_tables, read_rows
+        from reorient.runs.files import replacing
 
         show_progress("pairs", evaluate(self.config, self.out, self.workers))
         rows = read_rows(self.out)

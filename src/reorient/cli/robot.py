@@ -10,13 +10,13 @@ from tyro.conf import Positional
 from reorient import __version__
 from reorient.cli.estimating import Frames
 from reorient.errors import ReorientError
-from reorient.files import make_folder
+from reorient.runs.files import make_folder
 
 if TYPE_CHECKING:
     from reorient.controller import Limits, Strategy
-    from reorient.depth import DepthImage
+    from reorient.controller.station import Station
     from reorient.estimators.base import Estimator
-    from reorient.stations.base import Station
+    from reorient.imaging import DepthImage
 
 
 @dataclass(frozen=True)
@@ -37,11 +37,11 @@ class StationChoice:
     def open(self) -> "Station":
         """The station, ready."""
         from reorient import so3
-        from reorient.objects import generated
-        from reorient.rendering import load_world
-        from reorient.sensing import randomised
         from reorient.stations import load_station
         from reorient.stations.rendered import RenderedStation
+        from reorient.world.objects import generated
+        from reorient.world.rendering import load_world
+        from reorient.world.sensing import randomised
 
         if self.station != "rendered":
             return load_station(self.station)
@@ -147,7 +147,7 @@ class Orient:
 
         from reorient.controller import Limits
         from reorient.estimators import load_estimator
-        from reorient.provenance import commit
+        from reorient.runs.provenance import commit
         from reorient.stations.replay import RecordingStation
 
         strategy = _strategy(self.strategy, self.max_steps, self.eta, self.delta_deg)
@@ -295,8 +295,8 @@ class Capture:
 
     def run(self) -> None:
         """Capture and write."""
-        from reorient.depth_files import write_depth
-        from reorient.stations.base import captured
+        from reorient.controller.station import captured
+        from reorient.imaging.files import write_depth
 
         station: Any = self.choice.open()
         try:  # a simulated gripper can be told to let go of the picture

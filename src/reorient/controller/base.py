@@ -7,8 +7,8 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from reorient.depth import DepthImage
 from reorient.estimators.base import RotationEstimate
+from reorient.imaging import DepthImage
 
 Reachable = Callable[[Float[np.ndarray, "3 3"]], bool]
 """Whether the station can make a rotation (camera axes, left) from where it is."""

@@ -21,7 +21,7 @@ from jaxtyping import Float
 
 from reorient import so3
 from reorient.controller.base import Decision, Reachable, Step, known_part, rotations_since
-from reorient.controller.memory import (
+from reorient.controller.belief import (
     NEAR_RAD,
     SAME_RAD,
     Candidate,
@@ -34,8 +34,8 @@ from reorient.controller.memory import (
     nearest,
     stands,
 )
-from reorient.depth import DepthImage
 from reorient.errors import ReorientError
+from reorient.imaging import DepthImage
 
 FIRST_RAD = float(np.radians(1))  # from farther, the first capture of a place is reason enough to move
 MOST_LOOKS = 6  # captures of the last place, and of one that is compared with another

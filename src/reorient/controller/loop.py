@@ -12,14 +12,14 @@ import numpy as np
 from jaxtyping import Float
 
 from reorient import so3
+from reorient.controller.algorithm1 import Proportional
 from reorient.controller.base import Decision, OrientResult, Step, Strategy
 from reorient.controller.fusing import Fusing
 from reorient.controller.limits import Limits, nearest_reachable
-from reorient.controller.proportional import Proportional
-from reorient.depth import DepthImage
+from reorient.controller.station import Station, captured, lacking, pivot_of
 from reorient.errors import ReorientError, StationError
 from reorient.estimators.base import Estimator, RotationEstimate, as_estimate, check_pair
-from reorient.stations.base import Station, captured, lacking, pivot_of
+from reorient.imaging import DepthImage
 
 LEAST_GAIN_RAD = float(np.radians(0.5))  # a way round an unreachable move is taken if it comes nearer by this
 LEAST_HIDING_RAD = float(np.radians(5))  # smaller moves do not hide an object that was seen before

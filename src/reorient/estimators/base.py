@@ -8,9 +8,11 @@ import numpy as np
 from jaxtyping import Float
 
 from reorient import so3
-from reorient.depth import MILLIMETRES_ABOVE, DepthImage, require_isolated
 from reorient.errors import ReorientError
-from reorient.estimators.evidence import Evidence, View, weigh
+from reorient.imaging import DepthImage
+from reorient.imaging.depth_image import MILLIMETRES_ABOVE
+from reorient.imaging.isolation import require_isolated
+from reorient.registration.evidence import Evidence, View, weigh
 
 TOLERANCE = 0.018  # depth difference that still fits, of the object's size
 

@@ -12,16 +12,16 @@ import small_gicp
 from jaxtyping import Float
 
 from reorient import so3
-from reorient.depth import DepthImage
 from reorient.errors import ReorientError, unknown_name
 from reorient.estimators.base import History, RotationEstimate, check_pair, known_captures
-from reorient.estimators.evidence import weigh
 from reorient.estimators.gicp import FEWEST_POINTS, FINE
-from reorient.estimators.judge import Judge, features, load_judge
-from reorient.estimators.refine import Hypotheses, Look, Problem, descend, normal_equations
 from reorient.estimators.search import EFFORTS, search
-from reorient.estimators.surface import Surface, frame_of
-from reorient.processes import processes
+from reorient.estimators.verifier import Judge, features, load_judge
+from reorient.imaging import DepthImage
+from reorient.registration.evidence import weigh
+from reorient.registration.refine import Hypotheses, Look, Problem, descend, normal_equations
+from reorient.registration.surface import Surface, frame_of
+from reorient.runs.pool import processes
 
 FINE_TOLERANCE = 0.012  # depth difference that still fits, in sizes
 POLISH = (0.008, 0.006, 0.004, 0.003)  # tolerances of the last steps, in sizes, unless noise forbids

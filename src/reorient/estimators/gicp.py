@@ -16,10 +16,10 @@ import small_gicp
 from jaxtyping import Float
 
 from reorient import so3
-from reorient.depth import DepthImage
 from reorient.errors import ReorientError
 from reorient.estimators.base import History, RotationEstimate, check_pair
-from reorient.estimators.evidence import Evidence, View, agreement, size_m, weigh
+from reorient.imaging import DepthImage
+from reorient.registration.evidence import Evidence, View, agreement, size_m, weigh
 
 CLEAR_AGREEMENT = 0.7  # of the first alignment: no further starts
 RIVAL_MARGIN = 0.6  # a start may agree less than the first answer by this much, and still win once aligned

@@ -9,10 +9,19 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from reorient import so3
-from reorient.depth import DepthImage
 from reorient.errors import ReorientError
 from reorient.estimators.base import History, RotationEstimate, check_pair, weighed
-from reorient.virtual_camera import VirtualCamera, aim, join, network_input, outline, slide, turned, turning_points
+from reorient.imaging import DepthImage
+from reorient.imaging.virtual_camera import (
+    VirtualCamera,
+    aim,
+    join,
+    network_input,
+    outline,
+    slide,
+    turned,
+    turning_points,
+)
 
 SWIFT_ROUNDS = 3  # from the second on it is asked about what the answer so far leaves
 NEAR_RAD = float(np.radians(3))  # so little is left that the exchanged pair is like those it was trained on, too

@@ -12,7 +12,7 @@ from functools import cache
 import numpy as np
 
 from reorient import so3
-from reorient.estimators.refine import Hypotheses, Problem, descend, distinct, scatter
+from reorient.registration.refine import Hypotheses, Problem, descend, distinct, scatter
 
 
 @dataclass(frozen=True)

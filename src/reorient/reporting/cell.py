@@ -14,15 +14,15 @@ from PIL import Image
 from rich.console import Console
 from rich.table import Table
 
-from reorient.cell_trials import Experiment, close_loop, stage
 from reorient.errors import ReorientError
-from reorient.experiment import COLUMNS, END
-from reorient.files import replacing
-from reorient.perception import object_mask
-from reorient.pictures import depth_range, montage, png_data_uri, shade, show_mask, write_gif
+from reorient.experiments.cell import COLUMNS, END
+from reorient.experiments.cell_trials import Experiment, close_loop, stage
+from reorient.perception.segmentation import object_mask
 from reorient.reporting.figures import error_by_image, errors_by_object, growing_curve
 from reorient.reporting.page import inline_image, page
+from reorient.reporting.pictures import depth_range, montage, png_data_uri, shade, show_mask, write_gif
 from reorient.reporting.rows import read_table, wilson
+from reorient.runs.files import replacing
 
 PAPER_DEG = 4.2  # median of the paper's 50 physical trials
 _PAPER = "paper's physical cell, 4.2° (other objects)"

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from reorient.files import replacing
 from reorient.reporting.figures import PAGE_INCHES, REFERENCE, STYLE, colours_of, legend
+from reorient.runs.files import replacing
 
 
 @dataclass(frozen=True)

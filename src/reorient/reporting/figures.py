@@ -14,8 +14,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 from PIL import Image
 
-from reorient.evaluation import Row
-from reorient.pictures import BACKGROUND, INK
+from reorient.experiments.evaluation import Row
+from reorient.reporting.pictures import BACKGROUND, INK
 from reorient.reporting.rows import estimators, numbers
 
 _KNOWN = {"paper": "#cc5a71", "icp": "#8d99ae", "gicp": "#2f6db5", "swift": "#1d9a6c", "default": "#e08e1b"}

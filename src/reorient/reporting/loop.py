@@ -8,13 +8,13 @@ import numpy as np
 
 from reorient import so3
 from reorient.controller import OrientResult, Step
-from reorient.depth import DepthImage
 from reorient.errors import ReorientError
-from reorient.estimators.evidence import Evidence
-from reorient.files import replacing
-from reorient.pictures import depth_range, framed, montage, png_data_uri, shade, write_gif
+from reorient.imaging import DepthImage
+from reorient.registration.evidence import Evidence
 from reorient.reporting.figures import growing_curve, loop_curve
 from reorient.reporting.page import inline_image, page
+from reorient.reporting.pictures import depth_range, framed, montage, png_data_uri, shade, write_gif
+from reorient.runs.files import replacing
 
 _PANEL_PX, _STILL_PX = 256, 352
 _FRAME_MS, _LAST_FRAME_MS = 160, 2500

@@ -8,15 +8,15 @@ import numpy as np
 from PIL import Image
 
 from reorient import so3
-from reorient.depth import DepthImage
 from reorient.errors import ReorientError
-from reorient.evaluation import Evaluation, Row, read_config, regenerate
-from reorient.files import replacing
-from reorient.pictures import depth_range, framed, montage, png_data_uri, shade
+from reorient.experiments.evaluation import Evaluation, Row, read_config, regenerate
+from reorient.imaging import DepthImage
 from reorient.reporting import figures, trust
 from reorient.reporting.page import inline_image, page
+from reorient.reporting.pictures import depth_range, framed, montage, png_data_uri, shade
 from reorient.reporting.rows import estimators, numbers, read_rows
 from reorient.reporting.tables import OVERLAP, html_table
+from reorient.runs.files import replacing
 
 _MAIN = 3  # estimators whose pairs are shown
 _SHOWN = 4  # pairs at each end

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from reorient.errors import ReorientError
-from reorient.evaluation import COLUMNS, Row
+from reorient.experiments.evaluation import COLUMNS, Row
 
 LATER = ("overlap",)  # columns that rows of an earlier version lack: empty there
 QUARTERS = ((0, 25), (25, 50), (50, 75), (75, 100))  # of the overlap, in percent

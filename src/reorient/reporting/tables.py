@@ -8,7 +8,7 @@ from itertools import groupby
 from rich.console import Console
 from rich.table import Table
 
-from reorient.evaluation import Row
+from reorient.experiments.evaluation import Row
 from reorient.reporting.rows import Summary, by_overlap, estimators, summarise
 
 _BELOW5 = "< 5° (95% interval)"

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from reorient.evaluation import Row
+from reorient.experiments.evaluation import Row
 from reorient.reporting.figures import PAGE_INCHES, REFERENCE, STYLE, colours_of, legend
 from reorient.reporting.rows import estimators, numbers, wilson
 

@@ -7,8 +7,8 @@ import numpy as np
 import trimesh
 from jaxtyping import Float
 
-from reorient.depth import DepthImage
 from reorient.estimators.base import History, RotationEstimate, check_pair, weighed
+from reorient.imaging import DepthImage
 
 MAX_POINTS = 1500
 

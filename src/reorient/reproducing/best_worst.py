@@ -8,16 +8,16 @@ from pathlib import Path
 
 from PIL import Image
 
-from reorient.evaluation import Row, read_config
-from reorient.files import replacing
-from reorient.objects import ObjectSource
-from reorient.pictures import montage, png_data_uri
+from reorient.experiments.evaluation import Row, read_config
 from reorient.reporting.page import inline_image
+from reorient.reporting.pictures import montage, png_data_uri
 from reorient.reporting.report import three_panels
 from reorient.reporting.rows import estimators
 from reorient.reproducing.findings import Finding
 from reorient.reproducing.one_shot import labelled, mean_errors, measure_pairs, of, write_page
 from reorient.reproducing.setting import Setting
+from reorient.runs.files import replacing
+from reorient.world.objects import ObjectSource
 
 NAME = "best-worst"
 PAIRS = 644

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from reorient.evaluation import Row
+from reorient.experiments.evaluation import Row
 from reorient.reporting.rows import numbers
 from reorient.reproducing.findings import interval
 

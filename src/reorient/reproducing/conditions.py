@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from reorient.depth import DepthImage
 from reorient.errors import ReorientError
-from reorient.pairs import Pair, sample_pair
-from reorient.rendering import Renderer, load_world
-from reorient.sensing import randomised, sense
+from reorient.imaging import DepthImage
+from reorient.world.pairs import Pair, sample_pair
+from reorient.world.rendering import Renderer, load_world
+from reorient.world.sensing import randomised, sense
 
 WORLD = "benchmark"
 

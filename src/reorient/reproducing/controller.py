@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from reorient.evaluation import Row
-from reorient.loop_trials import LoopTrials, run_trial, tasks
-from reorient.objects import ObjectSource
+from reorient.experiments.evaluation import Row
+from reorient.experiments.loop_trials import LoopTrials, run_trial, tasks
 from reorient.reporting.curves import Curve, Panel, curves, histograms
 from reorient.reporting.rows import estimators, numbers, read_table
 from reorient.reproducing.findings import Finding, number, share
 from reorient.reproducing.one_shot import objects_of, of, write_page
 from reorient.reproducing.setting import Setting, collect
+from reorient.world.objects import ObjectSource
 
 NAME = "controller"
 FILE = "loops.csv.gz"

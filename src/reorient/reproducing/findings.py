@@ -10,8 +10,8 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from reorient.files import replacing
 from reorient.reporting.rows import wilson
+from reorient.runs.files import replacing
 
 RESAMPLES = 1000
 Statistic = Literal["mean", "median"]

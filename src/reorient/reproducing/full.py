@@ -16,11 +16,8 @@ from scipy.spatial import cKDTree
 from reorient import so3
 from reorient.estimators import load_estimator
 from reorient.estimators.learned import Learned
-from reorient.evaluation import Evaluation, Row, read_config, regenerate
-from reorient.meshes import some_vertices
-from reorient.objects import ObjectSource, split
-from reorient.pairs import PairSet
-from reorient.recipes import LossName
+from reorient.experiments.evaluation import Evaluation, Row, read_config, regenerate
+from reorient.learning.recipes import LossName
 from reorient.reporting.curves import Panel, curves, histograms
 from reorient.reporting.rows import estimators, numbers, read_rows, read_table
 from reorient.reporting.tables import html_table
@@ -38,6 +35,9 @@ from reorient.reproducing.one_shot import (
     write_page,
 )
 from reorient.reproducing.setting import Setting, collect
+from reorient.world.meshes import some_vertices
+from reorient.world.objects import ObjectSource, split
+from reorient.world.pairs import PairSet
 
 NAME = "full"
 COUNT, OBJECT_SEED, PAIRS_PER_OBJECT = 872, 2020, 200

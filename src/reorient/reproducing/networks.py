@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from reorient.errors import ReorientError
-from reorient.files import make_folder
-from reorient.pairs import PairSet
-from reorient.recipes import LossName, Training, load_preset
+from reorient.learning.recipes import LossName, Training, load_preset
 from reorient.reproducing.setting import Setting
+from reorient.runs.files import make_folder
+from reorient.world.pairs import PairSet
 
 # that of the weights in the package: with the paper's rate of 0.002, or its dropout of 0.4 on few objects, training
 # hardly leaves "no rotation" here (RESULTS.md)
@@ -62,8 +62,8 @@ def make_network(network: Network, setting: Setting, keep: Path) -> None:
     run, weights = setting.data / "runs" / network.name, network.weights(setting)
     if not weights.is_file():
         pairs = _pairs(network, setting)
-        from reorient.export import export
-        from reorient.training import train
+        from reorient.learning.export import export
+        from reorient.learning.training import train
 
         def states() -> Iterator[tuple[int, int, str]]:
             validation = ""
@@ -82,7 +82,7 @@ def make_network(network: Network, setting: Setting, keep: Path) -> None:
 
 def _pairs(network: Network, setting: Setting) -> Path:
     try:
-        from reorient.pair_store import generate
+        from reorient.learning.pair_store import generate
     except ImportError as error:
         raise ReorientError(f"{error.name} is not installed: expected `pip install 'reorient[train]'`") from error
     path = make_folder(setting.data / "pairs") / network.set_name

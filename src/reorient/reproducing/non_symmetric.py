@@ -8,9 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from reorient.objects import ObjectSource, split
-from reorient.pairs import PairSet
-from reorient.recipes import LossName
+from reorient.learning.recipes import LossName
 from reorient.reporting.curves import histograms
 from reorient.reporting.rows import estimators, numbers
 from reorient.reporting.tables import html_table
@@ -28,6 +26,8 @@ from reorient.reproducing.one_shot import (
     write_page,
 )
 from reorient.reproducing.setting import Setting
+from reorient.world.objects import ObjectSource, split
+from reorient.world.pairs import PairSet
 
 NAME = "non-symmetric"
 COUNT, OBJECT_SEED, PAIRS_PER_OBJECT = 110, 2021, 1500

@@ -6,18 +6,18 @@ from pathlib import Path
 
 import numpy as np
 
-from reorient.evaluation import Row
-from reorient.files import replacing
-from reorient.objects import ObjectSource
-from reorient.pictures import montage, png_data_uri, shade_mesh
+from reorient.experiments.evaluation import Row
 from reorient.reporting.page import inline_image
+from reorient.reporting.pictures import montage, png_data_uri, shade_mesh
 from reorient.reporting.rows import numbers, read_table
 from reorient.reproducing import full, non_symmetric
 from reorient.reproducing.findings import Finding, share
 from reorient.reproducing.one_shot import of, write_page
 from reorient.reproducing.setting import Setting, collect
-from reorient.statistics import describe_mesh
-from reorient.symmetry import SYMMETRIC_BELOW
+from reorient.runs.files import replacing
+from reorient.world.objects import ObjectSource
+from reorient.world.statistics import describe_mesh
+from reorient.world.symmetry import SYMMETRIC_BELOW
 
 NAME = "object-sets"
 SETS = {"non-symmetric set": "100", "full set": "872"}  # and the paper's number of objects

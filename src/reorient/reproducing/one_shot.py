@@ -6,9 +6,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from reorient.evaluation import Evaluation, Row, evaluate
-from reorient.files import replacing
-from reorient.objects import ObjectSource
+from reorient.experiments.evaluation import Evaluation, Row, evaluate
 from reorient.reporting.curves import Curve, Panel, curves, write_png
 from reorient.reporting.figures import svg
 from reorient.reporting.page import inline_image, page
@@ -16,6 +14,8 @@ from reorient.reporting.rows import estimators, numbers, read_rows
 from reorient.reproducing.findings import Finding, html_findings, interval, number
 from reorient.reproducing.networks import Network
 from reorient.reproducing.setting import Setting
+from reorient.runs.files import replacing
+from reorient.world.objects import ObjectSource
 
 NOTHING, RELEASED = (f"reorient.reproducing.baselines:{name}" for name in ("Nothing", "ReleasedICP"))
 LABELS = {NOTHING: "no rotation", RELEASED: "icp as released (broken)"}

@@ -7,11 +7,11 @@ from math import ceil
 from pathlib import Path
 from typing import Any
 
-from reorient.evaluation import Row
-from reorient.files import make_folder, whole_lines, write_table
-from reorient.objects import ObjectSource
-from reorient.processes import check_workers, processes
-from reorient.provenance import keep_record
+from reorient.experiments.evaluation import Row
+from reorient.runs.files import make_folder, whole_lines, write_table
+from reorient.runs.pool import check_workers, processes
+from reorient.runs.provenance import keep_record
+from reorient.world.objects import ObjectSource
 
 States = Iterator[tuple[int, int] | tuple[int, int, str]]
 

@@ -15,11 +15,7 @@ import numpy as np
 from reorient import so3
 from reorient.errors import ReorientError
 from reorient.estimators import load_estimator
-from reorient.evaluation import Row
-from reorient.files import replacing
-from reorient.objects import ObjectSource
-from reorient.pairs import Pair
-from reorient.rendering import Renderer
+from reorient.experiments.evaluation import Row
 from reorient.reporting.curves import Curve, Panel, curves
 from reorient.reporting.rows import estimators, numbers, read_table
 from reorient.reproducing.conclusions import conclude
@@ -27,7 +23,11 @@ from reorient.reproducing.conditions import SWEEPS, WORLD, Condition, Sweep, see
 from reorient.reproducing.findings import Finding, number, share
 from reorient.reproducing.one_shot import objects_of, of, write_page
 from reorient.reproducing.setting import Setting, collect
-from reorient.symmetry import SymmetryGroup, rotation_group, symmetric_error
+from reorient.runs.files import replacing
+from reorient.world.objects import ObjectSource
+from reorient.world.pairs import Pair
+from reorient.world.rendering import Renderer
+from reorient.world.symmetry import SymmetryGroup, rotation_group, symmetric_error
 
 NAME = "sweeps"
 FILE = "rows.csv.gz"

@@ -2,9 +2,9 @@
 
 from typing import cast
 
+from reorient.controller.station import Station, lacking
 from reorient.errors import ReorientError
 from reorient.plugins import make_own
-from reorient.stations.base import Station, lacking
 
 
 def load_station(name: str) -> Station:

@@ -9,9 +9,9 @@ from jaxtyping import Float
 from numpy.random import Generator
 
 from reorient import so3
-from reorient.depth import DepthImage
+from reorient.controller.station import Station
 from reorient.errors import StationError
-from reorient.stations.base import Station
+from reorient.imaging import DepthImage
 
 CAPTURE_FAULTS = ("stale", "empty", "gone")
 MOVE_FAULTS = ("slip", "refused", "partly")

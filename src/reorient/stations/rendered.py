@@ -8,10 +8,10 @@ from jaxtyping import Float
 from numpy.random import Generator
 
 from reorient import so3
-from reorient.depth import DepthImage
 from reorient.errors import StationError
-from reorient.rendering import Renderer, World
-from reorient.sensing import Sensor, sense
+from reorient.imaging import DepthImage
+from reorient.world.rendering import Renderer, World
+from reorient.world.sensing import Sensor, sense
 
 FRAME_S = 0.1  # simulated seconds a capture takes
 

@@ -12,11 +12,11 @@ import numpy as np
 from jaxtyping import Float
 
 from reorient import so3
-from reorient.depth import DepthImage
-from reorient.depth_files import read_depth, write_depth
+from reorient.controller.station import Station, captured, pivot_of
 from reorient.errors import ReorientError, StationError
-from reorient.files import make_folder, replacing
-from reorient.stations.base import Station, captured, pivot_of
+from reorient.imaging import DepthImage
+from reorient.imaging.files import read_depth, write_depth
+from reorient.runs.files import make_folder, replacing
 
 SAME_RAD = float(np.radians(0.1))  # a move that differs by less from the recorded one is that move
 

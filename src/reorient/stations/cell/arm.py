@@ -13,9 +13,9 @@ import numpy as np
 import trimesh
 from jaxtyping import Float
 
-from reorient import so3
-from reorient.calibration import Transform, moved, transform
+from reorient import se3, so3
 from reorient.errors import ReorientError, StationError
+from reorient.se3 import Transform
 
 YUMI = Path(__file__).with_name("yumi.xml")
 _SLOWEST_RAD_S = 1.0  # where the MJCF states no speed
@@ -94,7 +94,7 @@ class Arm:
     def tcp(self, joints_rad: Float[np.ndarray, " n"]) -> Transform:
         """T_world_tcp at these joint positions."""
         self._place(joints_rad, 0.0)
-        return transform(self.data.site_xmat[self._tcp].reshape(3, 3), self.data.site_xpos[self._tcp])
+        return se3.transform(self.data.site_xmat[self._tcp].reshape(3, 3), self.data.site_xpos[self._tcp])
 
     def solve(
         self, T_world_tcp: Transform, near_rad: Float[np.ndarray, " n"], fingers_m: float = 0.0
@@ -161,7 +161,7 @@ class Arm:
     def posed(self, data: mujoco.MjData) -> list[Part]:
         """The same for a state of this model, or of one that was made from it and has the same geoms."""
         return [
-            replace(shape, T_world_part=transform(data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]))
+            replace(shape, T_world_part=se3.transform(data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]))
             for geom, shape in enumerate(self._shapes)
         ]
 
@@ -173,7 +173,7 @@ class Arm:
 
 def merged(parts: Sequence[Part]) -> trimesh.Trimesh:
     """All parts as one mesh in world axes, their faces in the order of the parts."""
-    vertices = [moved(part.T_world_part, part.mesh.vertices) for part in parts]
+    vertices = [se3.apply(part.T_world_part, part.mesh.vertices) for part in parts]
     first = np.cumsum([0, *(len(v) for v in vertices)])
     faces = [part.mesh.faces + offset for part, offset in zip(parts, first, strict=False)]
     return trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), process=False)
@@ -210,7 +210,7 @@ def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:
 def turned(T_world_tcp: Transform, R_step: Float[np.ndarray, "3 3"], at_m: Float[np.ndarray, "3"]) -> Transform:
     """The pose turned by R_step (world axes, left), its origin moved to ``at_m``."""
     R = so3.matrix_from_quat(so3.quat_from_matrix(R_step @ T_world_tcp[:3, :3]))  # kept a rotation, move after move
-    return transform(R, at_m)
+    return se3.transform(R, at_m)
 
 
 def _numerics(model: mujoco.MjModel) -> set[str]:

@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy.random import Generator
 
-from reorient.calibration import Transform, transform
+from reorient import se3
+from reorient.se3 import Transform
 from reorient.stations.cell.arm import Arm, Part
 
 _PERIOD_S = 0.002
@@ -122,7 +123,7 @@ class Drive:
 
     def _site(self, site: int) -> Transform:
         mujoco.mj_fwdPosition(self.model, self.data)
-        return transform(self.data.site_xmat[site].reshape(3, 3), self.data.site_xpos[site])
+        return se3.transform(self.data.site_xmat[site].reshape(3, 3), self.data.site_xpos[site])
 
     def _run(self, target_rad: Float[np.ndarray, " n"], seconds: float) -> None:
         self.data.ctrl[: len(self._motor)] = target_rad - self._zero_rad

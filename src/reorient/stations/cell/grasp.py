@@ -7,10 +7,10 @@ import trimesh
 from jaxtyping import Float
 from numpy.random import Generator
 
-from reorient import so3
-from reorient.calibration import Transform, transform
+from reorient import se3, so3
 from reorient.errors import ReorientError
-from reorient.meshes import bounding_radius, scale_to_radius
+from reorient.se3 import Transform
+from reorient.world.meshes import bounding_radius, scale_to_radius
 
 FINGER_M = 0.010  # half width of a finger that must find the object between, and clearance beside it
 DEPTH_M = (-0.03, 0.012)  # along the approach, from the tool centre: what fingers and palm leave free
@@ -46,7 +46,7 @@ def find_grasp(
             held = _held_at(np.asarray(points) @ R.T, rng, stroke_m)
             if held is not None:
                 t_m, fingers_m = held
-                return Grasp(scaled, transform(R, t_m), fingers_m)
+                return Grasp(scaled, se3.transform(R, t_m), fingers_m)
         radius_m *= _SMALLER
     raise ReorientError(
         f"no grasp of an object of {1000 * bounding_radius(scaled):.0f} mm radius: expected some part at most "

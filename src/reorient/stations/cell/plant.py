@@ -13,11 +13,12 @@ import trimesh
 from jaxtyping import Bool, Float
 from numpy.random import Generator
 
-from reorient import so3
-from reorient.calibration import MountedCamera, Transform, transform
-from reorient.depth import Camera, DepthImage
+from reorient import se3, so3
 from reorient.errors import ReorientError, StationError
-from reorient.perception import ColorImage
+from reorient.imaging import Camera, DepthImage
+from reorient.perception.calibration import MountedCamera
+from reorient.perception.segmentation import ColorImage
+from reorient.se3 import Transform
 from reorient.stations.cell.arm import YUMI, Arm, Part
 from reorient.stations.cell.drive import Drive, Errors, Load
 from reorient.stations.cell.grasp import Grasp, find_grasp
@@ -58,7 +59,7 @@ class Plant:
         self._grasp: Grasp | None = None
         self._rgb = np.array(colorsys.hsv_to_rgb(rng.uniform(), rng.uniform(0.5, 0.9), rng.uniform(0.4, 0.9)))
         self._zero_rad = config.errors.encoder_zero_rad * rng.standard_normal(len(self.arm.joints))
-        joints_rad = self.arm.solve(transform(_SHOW_EMPTY, self.tool_m), self.arm.home_rad, self.fingers_m)
+        joints_rad = self.arm.solve(se3.transform(_SHOW_EMPTY, self.tool_m), self.arm.home_rad, self.fingers_m)
         self._drive = Drive(self.arm, joints_rad, self.fingers_m, None, config.errors, self._zero_rad, rng)
 
     # --- what a station may use -------------------------------------------------------------------------------------
@@ -152,7 +153,7 @@ class Plant:
         R = R @ so3.exp((np.pi / 2 - rise) * np.array([0.0, 1.0, 0.0]))
         R = R @ so3.exp(self._rng.uniform(-np.pi, np.pi) * np.array([0.0, 0.0, 1.0]))
         try:
-            return self.arm.solve(transform(R, self.tool_m), self.arm.home_rad, self.fingers_m)
+            return self.arm.solve(se3.transform(R, self.tool_m), self.arm.home_rad, self.fingers_m)
         except StationError:
             return None
 

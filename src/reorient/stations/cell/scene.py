@@ -6,12 +6,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy.random import Generator
 
-from reorient.calibration import MountedCamera, moved, transform
-from reorient.depth import Camera, DepthImage
-from reorient.perception import ColorImage
-from reorient.rendering import Placement, Renderer
-from reorient.sensing import Sensor, sense
+from reorient import se3
+from reorient.imaging import Camera, DepthImage
+from reorient.perception.calibration import MountedCamera
+from reorient.perception.segmentation import ColorImage
 from reorient.stations.cell.arm import Part, merged
+from reorient.world.rendering import Placement, Renderer
+from reorient.world.sensing import Sensor, sense
 
 # Photoneo PhoXi, looking down from 0.81 m with its image's top to the robot's front; a webcam beside it, tilted inwards
 DEPTH_CAMERA = Camera(1032, 772, 1122.0, 1122.0, 512.0, 384.5)
@@ -39,14 +40,14 @@ def mounted_above(place_m: Float[np.ndarray, "3"], height_m: float = 0.81) -> tu
     c, s = np.cos(_TILT_RAD), np.sin(_TILT_RAD)
     tilted = _DOWN @ np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
     return (
-        MountedCamera(DEPTH_CAMERA, transform(_DOWN, depth)),
-        MountedCamera(COLOR_CAMERA, transform(tilted, depth + np.array([0.0, -0.1, 0.0]))),
+        MountedCamera(DEPTH_CAMERA, se3.transform(_DOWN, depth)),
+        MountedCamera(COLOR_CAMERA, se3.transform(tilted, depth + np.array([0.0, -0.1, 0.0]))),
     )
 
 
 def projector_of(depth: MountedCamera) -> MountedCamera:
     """The depth camera's projector, as an eye that sees what it lights."""
-    return MountedCamera(depth.camera, depth.T_world_camera @ transform(np.eye(3), np.array(PROJECTOR_M)))
+    return MountedCamera(depth.camera, depth.T_world_camera @ se3.transform(np.eye(3), np.array(PROJECTOR_M)))
 
 
 def observer(tool_m: Float[np.ndarray, "3"], size_px: int) -> MountedCamera:
@@ -56,12 +57,12 @@ def observer(tool_m: Float[np.ndarray, "3"], size_px: int) -> MountedCamera:
     right = np.cross(forward, [0.0, 0.0, 1.0])
     axes = np.stack([right, np.cross(forward, right), forward], axis=1)
     f, c = 2.0 * size_px, size_px / 2
-    return MountedCamera(Camera(size_px, size_px, f, f, c, c), transform(axes / np.linalg.norm(axes, axis=0), eye))
+    return MountedCamera(Camera(size_px, size_px, f, f, c, c), se3.transform(axes / np.linalg.norm(axes, axis=0), eye))
 
 
 def window(mounted: MountedCamera, center_m: Float[np.ndarray, "3"], reach_m: float) -> Camera:
     """The part of a camera's image that shows a sphere in the world."""
-    x, y, z = moved(mounted.T_camera_world, center_m)
+    x, y, z = se3.apply(mounted.T_camera_world, center_m)
     camera = mounted.camera
     pixel = camera.project(np.array([x, y, z]))
     half = np.array([camera.fx, camera.fy]) * reach_m / (z - reach_m)
@@ -108,4 +109,4 @@ class Scene:
 
     def _pose(self, mounted: MountedCamera) -> tuple[Float[np.ndarray, "3 3"], Placement]:
         T = mounted.T_camera_world
-        return T[:3, :3], Placement(1.0, moved(T, self._center_m))
+        return T[:3, :3], Placement(1.0, se3.apply(T, self._center_m))

@@ -6,12 +6,13 @@ import numpy as np
 from jaxtyping import Float
 from numpy.random import Generator
 
-from reorient import so3
-from reorient.calibration import Calibration, MountedCamera, moved, transform
-from reorient.colour import ColourRange
-from reorient.depth import DepthImage
+from reorient import se3, so3
 from reorient.errors import ReorientError, StationError, unknown_name
-from reorient.perception import (
+from reorient.imaging import DepthImage
+from reorient.perception.calibration import Calibration, MountedCamera
+from reorient.perception.colour import ColourRange
+from reorient.perception.recalibration import corrected
+from reorient.perception.segmentation import (
     ByColour,
     ByShape,
     Frame,
@@ -19,7 +20,6 @@ from reorient.perception import (
     isolate_object,
     learn_gripper_colour,
 )
-from reorient.recalibration import corrected
 from reorient.stations.cell.arm import merged, turned
 from reorient.stations.cell.plant import Plant, PlantConfig
 
@@ -71,7 +71,7 @@ class SimulatedCell:
     @property
     def pivot_m(self) -> Float[np.ndarray, "3"]:
         """The tool centre in camera axes, by encoders and calibration."""
-        return moved(self.calibration.depth.T_camera_world, self.arm.tcp(self.plant.read())[:3, 3])
+        return se3.apply(self.calibration.depth.T_camera_world, self.arm.tcp(self.plant.read())[:3, 3])
 
     def capture(self) -> DepthImage:
         """The object alone, as the cameras see it now."""
@@ -125,5 +125,5 @@ class SimulatedCell:
 
 def _astray(camera: MountedCamera, config: CellConfig, rng: Generator) -> MountedCamera:
     direction, axis = so3.sample_axes(rng, 2)
-    T = transform(so3.exp(axis * config.astray_rad), direction * config.astray_m)
+    T = se3.transform(so3.exp(axis * config.astray_rad), direction * config.astray_m)
     return replace(camera, T_world_camera=camera.T_world_camera @ T)

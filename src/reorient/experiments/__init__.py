@@ -1,0 +1,1 @@
+"""Experiments: estimators on pairs, closed loops, trials in the simulated cell."""

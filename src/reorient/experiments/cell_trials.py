@@ -1,0 +1,265 @@
+"""One trial of the cell experiment: an object in the gripper, its goal image, the turn away, the loop back.
+
+Trials are drawn from seeds, so that each system (an estimator and a strategy) meets the same ones, and any can be run
+again to be shown.
+"""
+
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from jaxtyping import Bool, Float
+from numpy.random import Generator
+
+from reorient import so3
+from reorient.controller import Fusing, OrientResult, Proportional, Step, Strategy, orient
+from reorient.errors import ReorientError, StationError, unknown_name
+from reorient.estimators import load_estimator
+from reorient.imaging import DepthImage
+from reorient.perception.calibration import read_calibration
+from reorient.perception.colour import ColourRange
+from reorient.perception.segmentation import object_mask
+from reorient.world.objects import ObjectSource
+from reorient.world.statistics import is_distinctive
+
+MAX_STEPS = 50  # K of the paper's physical experiment
+STRATEGIES: dict[str, Strategy] = {
+    "algorithm1": Proportional(MAX_STEPS),  # eta = 0.2, delta = 0.5 degrees
+    "direct": Proportional(MAX_STEPS, eta=1.0),  # the whole of what is predicted, at once
+    "fusing": Fusing(MAX_STEPS),
+}
+LEAST_VISIBLE = 0.7  # of the object's silhouette, in goal and start (paper: "not significantly occluded")
+_TURNS = 200  # drawn for a start before another goal is tried
+_PLACES = 5  # goals tried
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What to run."""
+
+    source: ObjectSource = field(default_factory=lambda: ObjectSource(count=60, object_seed=100))
+    """Where the objects are drawn from."""
+    objects: int = 5
+    """How many of the source, drawn by a hash of the name among those without symmetry that the gripper can hold."""
+    trials: int = 10
+    """Goals and starts of each object."""
+    systems: tuple[str, ...] = ("default/fusing", "gicp/direct")
+    """Each an estimator and a strategy: algorithm1 (eta 0.2, delta 0.5°), direct (eta 1), fusing; at most 50 images."""
+    ranges_deg: tuple[tuple[float, float], ...] = ((30, 30),)
+    """Ranges of the angle between start and goal."""
+    noise_mm: float = 0.5
+    """Depth noise."""
+    slip_nm: float | None = None
+    """Torque at which the object slips in the fingers; None: never."""
+    segmentation: str = "shape"
+    """How the gripper is removed: by its known shape, or by its colour as in the paper."""
+    gripper_hue_deg: tuple[float, float] | None = None
+    """Hue, from and to, of the gripper; with a range of saturation instead of what the empty gripper teaches."""
+    gripper_saturation: tuple[float, float] | None = None
+    """Saturation of the gripper, in [0, 1]."""
+    calibration: Path | None = None
+    """Calibration file of the cell's cameras; none: the true one, 1 mm and 0.3 degrees wrong."""
+    arm: Path | None = None
+    """MJCF of another arm; none: the YuMi's left."""
+    seed: int = 0
+    """Of the goals, the starts and the cell's errors."""
+
+    def __post_init__(self) -> None:
+        """Raises ReorientError for what cannot be run."""
+        for system in self.systems:
+            estimator_and_strategy(system)
+        for low, high in self.ranges_deg:
+            if not 0 < low <= high <= 180:
+                raise ReorientError(f"range {low:g} to {high:g} degrees: expected 0 < low <= high <= 180")
+        if not (self.systems and self.ranges_deg and min(self.objects, self.trials) >= 1 and self.seed >= 0):
+            raise ReorientError("expected at least one system, range, object and trial, and a seed from 0")
+        if not (0 <= self.noise_mm < 100 and (self.slip_nm is None or self.slip_nm > 0)):
+            raise ReorientError(f"noise {self.noise_mm} mm, slip at {self.slip_nm} Nm: expected noise >= 0, slip > 0")
+
+
+def estimator_and_strategy(system: str) -> tuple[str, str]:
+    """The two names of a system. Raises ReorientError for an unknown one."""
+    estimator, _, strategy = system.partition("/")
+    load_estimator(estimator)
+    if strategy not in STRATEGIES:
+        raise unknown_name(f"strategy of system {system!r}:", strategy, list(STRATEGIES))
+    return estimator, strategy
+
+
+class Witness:
+    """A cell as the controller sees it, that notes the truth at every image."""
+
+    def __init__(self, cell: Any, R_goal: Float[np.ndarray, "3 3"]) -> None:
+        self.cell, self._R_goal = cell, R_goal
+        self.errors_deg: list[float] = []
+        """At each image."""
+
+    @property
+    def pivot_m(self) -> Float[np.ndarray, "3"] | None:
+        """The cell's."""
+        return self.cell.pivot_m
+
+    def capture(self) -> DepthImage:
+        """The cell's image."""
+        self.errors_deg.append(self.error_deg())
+        return self.cell.capture()
+
+    def rotate(self, R_step: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
+        """The cell's move."""
+        return self.cell.rotate(R_step)
+
+    def reachable(self, R_step: Float[np.ndarray, "3 3"]) -> bool:
+        """The cell's reach."""
+        return self.cell.reachable(R_step)
+
+    def error_deg(self) -> float:
+        """The true angle between the object and its goal."""
+        return float(np.degrees(so3.angle_difference(self.cell.plant.R_world_object, self._R_goal)))
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """A cell before its loop: the goal image taken, the arm turned away."""
+
+    cell: Any
+    goal: DepthImage
+    R_goal: Float[np.ndarray, "3 3"]
+    """The object's true orientation in the goal image, world axes."""
+    masks: tuple[dict[str, Any], ...]
+    """How well goal and start are segmented; none unless asked for."""
+
+
+def stage(
+    config: Experiment, name: str, trial: int, range_deg: tuple[float, float], score_masks: bool = False
+) -> Stage:
+    """Set up one trial; the same arguments make the same trial. Raises ReorientError where the arm cannot.
+
+    The turn away has an angle uniform in the range and any axis for which arm and object allow it, and after which at
+    least 70% of the object is seen, too.
+    """
+    low, high = range_deg
+    rng = np.random.default_rng([config.seed, zlib.crc32(name.encode()), trial, round(1000 * low), round(1000 * high)])
+    mesh = _mesh(config.source, name)
+    cell = open_cell(config, rng)
+    for _ in range(_PLACES):
+        cell.plant.hold(mesh, LEAST_VISIBLE)
+        turn = _turn_away(cell, rng, np.radians(low), np.radians(high))
+        if turn is not None:
+            break
+    else:
+        raise ReorientError(f"the arm cannot turn the object away by {low:g} to {high:g} degrees and still show it")
+    masks = [_score_masks(cell, "goal")] if score_masks else []
+    goal, R_goal = cell.capture(), cell.plant.R_world_object
+    cell.rotate(turn)
+    masks += [_score_masks(cell, "start")] if score_masks else []
+    return Stage(cell, goal, R_goal, tuple(masks))
+
+
+def close_loop(
+    config: Experiment, staged: Stage, system: str, subscribers: Sequence[Callable[[Step], None]] = ()
+) -> tuple[OrientResult, list[float]]:
+    """One loop from a stage, and the true angle left at each image and, last, at the end; degrees."""
+    estimator, strategy = estimator_and_strategy(system)
+    witness = Witness(staged.cell, staged.R_goal)
+    result = orient(witness, staged.goal, load_estimator(estimator), STRATEGIES[strategy], subscribers=subscribers)
+    return result, [*witness.errors_deg[: len(result.steps)], witness.error_deg()]
+
+
+def chosen(config: Experiment) -> tuple[str, ...]:
+    """The objects: in an order by a hash of the name, the first without symmetry that the gripper can hold in view."""
+    objects = config.source.open()
+    cell = open_cell(config, np.random.default_rng(config.seed))
+    found: list[str] = []
+    for name in sorted(objects.names, key=lambda name: zlib.crc32(f"cell {name}".encode())):
+        mesh = objects.load(name)
+        if is_distinctive(mesh) and _can_hold(cell, mesh):
+            found.append(name)
+        if len(found) == config.objects:
+            return tuple(found)
+    raise ReorientError(
+        f"{len(found)} of {len(objects.names)} objects can be used: expected {config.objects} without symmetry that "
+        "the gripper can hold in view"
+    )
+
+
+def open_cell(config: Experiment, rng: Generator) -> Any:
+    """The cell, its gripper still empty. Raises ReorientError where the extra is not installed or an input is bad."""
+    try:
+        from reorient.stations.cell import CellConfig, PlantConfig, SimulatedCell
+        from reorient.stations.cell.drive import Errors
+    except ModuleNotFoundError as error:
+        raise ReorientError(f"the simulated cell needs {error.name}: pip install 'reorient[cell]'") from error
+    plant = PlantConfig(noise_m=config.noise_mm / 1000, errors=Errors(slip_nm=config.slip_nm))
+    colour = None
+    if config.gripper_hue_deg or config.gripper_saturation:
+        colour = ColourRange(config.gripper_hue_deg or (0.0, 360.0), config.gripper_saturation or (0.0, 1.0))
+    return SimulatedCell(
+        rng,
+        CellConfig(
+            plant if config.arm is None else replace(plant, arm=config.arm),
+            config.segmentation,
+            colour,
+            None if config.calibration is None else read_calibration(config.calibration),
+        ),
+    )
+
+
+def _can_hold(cell: Any, mesh: trimesh.Trimesh) -> bool:
+    try:
+        cell.plant.hold(mesh, LEAST_VISIBLE)
+    except ReorientError:
+        return False
+    return True
+
+
+def _turn_away(cell: Any, rng: Generator, low_rad: float, high_rad: float) -> Float[np.ndarray, "3 3"] | None:
+    """A turn of the gripper that the arm can make and that leaves the object in view; None if none is found."""
+    for _ in range(_TURNS):
+        R = so3.matrix_from_quat(so3.sample_bounded(rng, 1, low_rad, high_rad))[0]
+        try:
+            joints_rad = cell.plan(R)
+        except StationError:
+            continue
+        if cell.plant.is_seen(joints_rad, LEAST_VISIBLE):
+            return R
+    return None
+
+
+def _score_masks(cell: Any, image: str) -> dict[str, Any]:
+    """How well each segmentation tells the object: its returns, and all pixels whose ray hits it.
+
+    By the gripper's shape once without colours, and once with them to fill in what did not return.
+    """
+    frame = cell.frame(colour=True)
+    hit, returned = cell.plant.shows_object(), frame.depth.valid
+    row: dict[str, Any] = {
+        "image": image,
+        "pixels": int(hit.sum()),
+        "returned": f"{(hit & returned).sum() / hit.sum():.4f}",
+    }
+    by_shape = cell.segmentations["shape"]
+    ways = {"shape": (by_shape, replace(frame, color=None))}
+    if "colour" in cell.segmentations:
+        ways |= {"shape_coloured": (by_shape, frame), "colour": (cell.segmentations["colour"], frame)}
+    for name, (segmentation, seen) in ways.items():
+        try:
+            mask = object_mask(seen, cell.calibration, segmentation)
+        except ReorientError:
+            mask = np.zeros_like(hit)
+        row[f"iou_{name}"] = f"{_iou(mask & returned, hit & returned):.4f}"
+        row[f"iou_{name}_all"] = f"{_iou(mask, hit):.4f}"
+    return row
+
+
+def _iou(mask: Bool[np.ndarray, "h w"], truth: Bool[np.ndarray, "h w"]) -> float:
+    return float((mask & truth).sum() / max((mask | truth).sum(), 1))
+
+
+@lru_cache(maxsize=8)
+def _mesh(source: ObjectSource, name: str) -> trimesh.Trimesh:
+    return source.open().load(name)

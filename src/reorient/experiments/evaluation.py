@@ -1,0 +1,317 @@
+"""Estimators x objects x angles x noise: one raw row each, summaries last.
+
+A run folder holds ``config.json`` (what was asked, and the commit) and ``rows.csv.gz``. Rows are appended to
+``rows.partial.csv`` pair by pair, so that an interrupted run goes on where it stopped. ``evaluate`` measures
+estimators, by name or as objects; ``measure_pairs`` is the same walk for whoever measures something else of a pair.
+"""
+
+import csv
+import gzip
+import io
+import json
+import shutil
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, is_dataclass
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from reorient import so3
+from reorient.errors import ReorientError
+from reorient.estimators import load_estimator
+from reorient.estimators.base import Estimator, as_estimate
+from reorient.runs.files import make_folder, replacing
+from reorient.runs.pool import check_workers, processes
+from reorient.runs.provenance import run_record
+from reorient.world.objects import ObjectSet, ObjectSource
+from reorient.world.pairs import Pair, sample_pair, view_overlap
+from reorient.world.rendering import Renderer, load_world
+from reorient.world.sensing import randomised
+from reorient.world.symmetry import SymmetryGroup, rotation_group, symmetric_error
+
+COLUMNS = [
+    "object",
+    "pair",
+    "world",
+    "noise_mm",
+    "low_deg",
+    "high_deg",
+    "estimator",
+    "angle_deg",
+    "error_deg",
+    "error_sym_deg",
+    "qw",
+    "qx",
+    "qy",
+    "qz",
+    "seconds",
+    "agreement",
+    "fit",
+    "in_front",
+    "outside",
+    "behind",
+    "residual_mm",
+    "converged",
+    "iterations",
+    "confidence",
+    "message",
+    "overlap",
+]
+"""Of a row; rows of before ``overlap`` was measured lack it."""
+
+Row = dict[str, str]
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What to measure."""
+
+    objects: ObjectSource = field(default_factory=ObjectSource)
+    """Whose pairs are drawn."""
+    estimators: tuple[str, ...] = ("gicp", "icp")
+    """Names of estimators; each has a row for every pair."""
+    world: str = "benchmark"
+    """Preset of camera, size and distance: benchmark or paper."""
+    ranges_deg: tuple[tuple[float, float], ...] = ((0, 30), (30, 60))
+    """Ranges of the angle between start and goal."""
+    noise_mm: tuple[float, ...] = (0.0, 1.0)
+    """Depth noise of the structured-light sensor; 0: rectangle and dropouts alone."""
+    pairs: int = 300
+    """Pairs in each cell, spread over the objects."""
+    pivot: bool = False
+    """Give the estimators the nominal pivot, up to 1 cm wrong along each axis."""
+    seed: int = 0
+    """Of the pairs."""
+
+    def __post_init__(self) -> None:
+        """Raises ReorientError for what cannot be measured."""
+        for low, high in self.ranges_deg:
+            if not 0 <= low <= high <= 180:
+                raise ReorientError(f"range {low:g} to {high:g} degrees: expected 0 <= low <= high <= 180")
+        if not all(0 <= noise < np.inf for noise in self.noise_mm):
+            raise ReorientError(f"noise {self.noise_mm} mm: expected finite numbers from 0")
+        if not (self.estimators and self.ranges_deg and self.noise_mm and self.pairs >= 1 and self.seed >= 0):
+            raise ReorientError("expected at least one estimator, range, noise and pair, and a seed from 0")
+
+
+Measure = Callable[[Evaluation, Pair, SymmetryGroup, Float[np.ndarray, "3"] | None], list[dict[str, Any]]]
+"""What to find out about a pair, its object's symmetry and the pivot that may be used: for each of
+``config.estimators`` the cells of its row, of those ``COLUMNS`` that say nothing of the pair itself."""
+
+
+def evaluate(
+    config: Evaluation, out: Path, workers: int = 1, own: Mapping[str, Estimator] | None = None
+) -> Iterator[tuple[int, int]]:
+    """Run, yielding (pairs done, pairs in all); the rows are in ``out/rows.csv.gz`` when it ends.
+
+    ``own``: estimators that are not of the package, by the names under which the config lists them.
+    Goes on where an earlier run of the same config stopped. Raises ReorientError where ``out`` holds another config.
+    ``seconds`` of a row are the process's own, on all its threads: other work on the machine hardly counts.
+    """
+    own = own or {}
+    for name in config.estimators:
+        if name not in own:
+            load_estimator(name)
+    said = "{" + ", ".join(f"{name!r}: {_described(estimator)}" for name, estimator in own.items()) + "}"
+    yield from measure_pairs(config, out, partial(_estimates, dict(own)), workers, own=said)
+
+
+def measure_pairs(
+    config: Evaluation, out: Path, measure: Measure, workers: int = 1, own: str = "{}"
+) -> Iterator[tuple[int, int]]:
+    """As ``evaluate``, with any measure. ``own``: what else the rows depend on, in words; kept in ``config.json``."""
+    load_world(config.world)
+    check_workers(workers)
+    names = _loadable(config.objects.open(), config.pairs)
+    _write_config(config, make_folder(out), workers, own)
+    partial_file, finished = out / "rows.partial.csv", out / "rows.csv.gz"
+    if finished.is_file():
+        partial_file.unlink(missing_ok=True)
+        yield config.pairs, config.pairs
+        return
+    per_pair = len(config.ranges_deg) * len(config.noise_mm) * len(config.estimators)
+    done = _whole_pairs(partial_file, per_pair)
+    tasks = [(config, measure, names[index % len(names)], index) for index in range(done, config.pairs)]
+    yield done, config.pairs
+    with (
+        processes(workers) as pool,
+        partial_file.open("a", newline="") as file,
+    ):
+        results = pool.map(_measure_pair, tasks) if workers > 1 else map(_measure_pair, tasks)
+        for rows in results:
+            buffer = io.StringIO()
+            csv.DictWriter(buffer, COLUMNS).writerows(rows)
+            file.write(buffer.getvalue())
+            file.flush()
+            done += 1
+            yield done, config.pairs
+    with (
+        replacing(finished) as temporary,
+        partial_file.open("rb") as raw,
+        temporary.open("wb") as whole,
+        gzip.GzipFile("", "wb", fileobj=whole, mtime=0) as packed,
+    ):
+        packed.write((",".join(COLUMNS) + "\r\n").encode())
+        shutil.copyfileobj(raw, packed)
+    partial_file.unlink()
+
+
+def read_config(path: Path) -> Evaluation:
+    """The config of a run folder. Raises ReorientError where there is none."""
+    file = path / "config.json"
+    if not file.is_file():
+        raise ReorientError(f"no evaluation in {str(path)!r}: expected config.json and rows.csv.gz")
+    try:
+        data = json.loads(file.read_text())["config"]
+        source = ObjectSource.from_json(data.pop("objects"))
+        data["ranges_deg"] = tuple(tuple(x) for x in data["ranges_deg"])
+        for name in ("estimators", "noise_mm"):
+            data[name] = tuple(data[name])
+        return Evaluation(source, **data)
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ReorientError(f"broken {str(file)!r} ({error}): expected what `reorient evaluate` wrote") from error
+
+
+def regenerate(config: Evaluation, row: Row) -> tuple[Pair, Renderer]:
+    """The images of a row again, from its seeds, and the renderer of its object."""
+    renderer = Renderer(config.objects.open().load(row["object"]))
+    pair = _pair(
+        config, renderer, int(row["pair"]), float(row["low_deg"]), float(row["high_deg"]), float(row["noise_mm"])
+    )
+    return pair, renderer
+
+
+def _measure_pair(task: tuple[Evaluation, Measure, str, int]) -> list[Row]:
+    config, measure, name, index = task
+    mesh, group = _object(config.objects, name)
+    renderer = Renderer(mesh)
+    rows = []
+    for low, high in config.ranges_deg:
+        for noise_mm in config.noise_mm:
+            pair = _pair(config, renderer, index, low, high, noise_mm)
+            cell = {
+                "object": name,
+                "pair": index,
+                "world": config.world,
+                "noise_mm": noise_mm,
+                "low_deg": low,
+                "high_deg": high,
+                "angle_deg": f"{np.degrees(so3.angle(pair.R_goal_current)):.4f}",
+                "overlap": f"{view_overlap(renderer, pair):.4f}",
+            }
+            measured = measure(config, pair, group, pair.pivot_m if config.pivot else None)
+            for estimator, figures in zip(config.estimators, measured, strict=True):
+                rows.append(dict.fromkeys(COLUMNS, "") | figures | cell | {"estimator": estimator})
+    return [{column: str(row[column]) for column in COLUMNS} for row in rows]
+
+
+def _pair(config: Evaluation, renderer: Renderer, index: int, low: float, high: float, noise_mm: float) -> Pair:
+    rng = np.random.default_rng([config.seed, index, round(low * 1000), round(high * 1000), round(noise_mm * 1000)])
+    return sample_pair(
+        rng, renderer, load_world(config.world), randomised(noise_mm / 1000), np.radians(low), np.radians(high)
+    )
+
+
+def _estimates(
+    own: dict[str, Estimator],
+    config: Evaluation,
+    pair: Pair,
+    group: SymmetryGroup,
+    pivot_m: Float[np.ndarray, "3"] | None,
+) -> list[dict[str, Any]]:
+    """What each estimator answers."""
+    return [
+        _estimate(own[name] if name in own else _estimator(name), pair, group, pivot_m) for name in config.estimators
+    ]
+
+
+def _estimate(
+    estimator: Estimator, pair: Pair, group: SymmetryGroup, pivot_m: Float[np.ndarray, "3"] | None
+) -> dict[str, Any]:
+    """One row's figures. An estimator that refuses has answered "no rotation"; the message says why."""
+    begin = time.process_time()
+    try:
+        answer = estimator.estimate(pair.current, pair.goal, pivot_m)
+        estimate = as_estimate(answer, pair.current, pair.goal)
+    except ReorientError as error:
+        R, message, figures = np.eye(3), str(error), {}
+    else:
+        R, message = estimate.R_goal_current, ""
+        evidence = estimate.evidence
+        names = ("agreement", "fit", "in_front", "outside", "behind")
+        figures = {name: f"{getattr(evidence, name):.4f}" for name in names} | {
+            "residual_mm": f"{1000 * evidence.residual_m:.4f}",
+            "converged": int(evidence.converged),
+            "iterations": evidence.iterations,
+            "confidence": "" if estimate.confidence is None else f"{estimate.confidence:.4f}",
+        }
+    seconds = time.process_time() - begin
+    return figures | answer_cells(R, pair, group) | {"seconds": f"{seconds:.5f}", "message": message}
+
+
+def answer_cells(R: Float[np.ndarray, "3 3"], pair: Pair, group: SymmetryGroup) -> dict[str, str]:
+    """The cells of a row that an answer and the truth give: the errors, and the answer itself."""
+    return {
+        "error_deg": f"{np.degrees(so3.angle_difference(R, pair.R_goal_current)):.5f}",
+        "error_sym_deg": f"{np.degrees(symmetric_error(group, R, pair.R_goal_current, pair.R_camera_object)):.5f}",
+    } | {f"q{part}": f"{x:.9f}" for part, x in zip("wxyz", so3.quat_from_matrix(R), strict=True)}
+
+
+@lru_cache(maxsize=8)
+def _object(source: ObjectSource, name: str) -> tuple[Any, SymmetryGroup]:
+    mesh = source.open().load(name)
+    return mesh, rotation_group(mesh)
+
+
+@lru_cache
+def _estimator(name: str) -> Estimator:
+    return load_estimator(name)
+
+
+def _loadable(objects: ObjectSet, most: int) -> tuple[str, ...]:
+    """The names, once every mesh that is going to be used has been loaded: better now than after hours."""
+    refused = []
+    for name in objects.names[:most]:
+        try:
+            objects.load(name)
+        except ReorientError as error:
+            refused.append(str(error))
+    if refused:
+        raise ReorientError(
+            f"{len(refused)} of {len(objects.names)} meshes are refused (see `reorient objects check`; name the others "
+            f"with --only), the first: {refused[0]}"
+        )
+    return objects.names
+
+
+def _write_config(config: Evaluation, out: Path, workers: int, own: str) -> None:
+    file = out / "config.json"
+    if file.is_file():
+        if read_config(out) != config or json.loads(file.read_text()).get("own", "{}") != own:
+            raise ReorientError(f"{str(out)!r} holds a run of another config: expected the same, or a new folder")
+        return
+    with replacing(file) as temporary:
+        temporary.write_text(json.dumps(run_record(config, workers=workers, own=own), indent=2) + "\n")
+
+
+def _described(estimator: Estimator) -> str:
+    """An estimator in words that are the same in the next run: a dataclass shows its settings, any other its class."""
+    kind = type(estimator)
+    return repr(estimator) if is_dataclass(estimator) else f"{kind.__module__}.{kind.__qualname__}"
+
+
+def _whole_pairs(file: Path, per_pair: int) -> int:
+    """How many pairs an interrupted run has finished; what it left of the next one is cut off."""
+    if not file.is_file():
+        return 0
+    lines = file.read_bytes().splitlines(keepends=True)
+    whole = sum(line.endswith(b"\r\n") for line in lines) // per_pair
+    if whole and len(next(csv.reader([lines[0].decode()]))) != len(COLUMNS):
+        raise ReorientError(f"{str(file)!r} was begun by another version: expected a new folder")
+    with replacing(file) as temporary:
+        temporary.write_bytes(b"".join(lines[: whole * per_pair]))
+    return whole

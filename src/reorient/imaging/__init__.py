@@ -1,0 +1,7 @@
+"""Depth images and cameras, their files, isolation, and the virtual camera."""
+
+from reorient.imaging.camera import Camera
+from reorient.imaging.depth_image import DepthImage
+from reorient.imaging.isolation import isolate
+
+__all__ = ["Camera", "DepthImage", "isolate"]

@@ -1,0 +1,75 @@
+"""The pinhole camera.
+
+Camera axes are OpenCV's: x right, y down, z forward. Pixel centres lie at +0.5: the pixel in row 0, column 0 covers
+[0, 1) x [0, 1), so that cropping subtracts whole numbers from cx, cy and resizing scales fx, fy, cx, cy alike.
+"""
+
+from dataclasses import dataclass, replace
+from math import isfinite
+from numbers import Real
+
+import numpy as np
+from jaxtyping import Float
+
+from reorient.errors import ReorientError
+
+
+def is_number(x: object) -> bool:
+    """Whether it is one finite real number."""
+    return isinstance(x, Real) and isfinite(x)
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera without distortion; numbers of any type are kept as int and float.
+
+    Raises ReorientError for sizes or focal lengths that are none.
+    """
+
+    width: int
+    """Columns, px."""
+    height: int
+    """Rows, px."""
+    fx: float
+    """Focal length along x, px."""
+    fy: float
+    """Focal length along y, px."""
+    cx: float
+    """Principal point, px from the left edge of the image (centre of the first pixel: 0.5)."""
+    cy: float
+    """Principal point, px from the top edge of the image."""
+
+    def __post_init__(self) -> None:
+        sizes, optics = (self.width, self.height), (self.fx, self.fy, self.cx, self.cy)
+        if not all(is_number(x) and x == int(x) and x >= 1 for x in sizes):
+            raise ReorientError(f"camera of {self.width} x {self.height} px: expected whole numbers above 0")
+        if not all(is_number(x) for x in optics) or min(self.fx, self.fy) <= 0:
+            raise ReorientError(
+                f"camera of fx={self.fx}, fy={self.fy}, cx={self.cx}, cy={self.cy}: expected finite pixels, fx, fy > 0"
+            )
+        for name, kind in self.__annotations__.items():
+            object.__setattr__(self, name, kind(getattr(self, name)))
+
+    def cropped(self, left: int, top: int, width: int, height: int) -> "Camera":
+        """The camera of a window of this image; the window may reach beyond it."""
+        return replace(self, width=width, height=height, cx=self.cx - left, cy=self.cy - top)
+
+    def resized(self, width: int, height: int) -> "Camera":
+        """The camera of this image scaled to another size in pixels."""
+        sx, sy = width / self.width, height / self.height
+        return Camera(width, height, self.fx * sx, self.fy * sy, self.cx * sx, self.cy * sy)
+
+    def rays(self) -> Float[np.ndarray, "height width 3"]:
+        """Through every pixel centre the direction (x, y, 1): times a depth, the point in camera axes."""
+        x = (np.arange(self.width) + 0.5 - self.cx) / self.fx
+        y = (np.arange(self.height) + 0.5 - self.cy) / self.fy
+        u, v = np.meshgrid(x, y)
+        return np.stack([u, v, np.ones_like(u)], axis=-1)
+
+    def project(self, points_m: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 2"]:
+        """Pixel coordinates (column, row) of points in front of the camera; NaN for z <= 0."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            z = np.where(points_m[..., 2] > 0, points_m[..., 2], np.nan)
+            u = self.fx * points_m[..., 0] / z + self.cx
+            v = self.fy * points_m[..., 1] / z + self.cy
+        return np.stack([u, v], axis=-1)

@@ -1,0 +1,1 @@
+"""Learning: pair store, batches, networks, losses, training, export, training of the verifier."""

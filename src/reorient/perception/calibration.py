@@ -1,0 +1,81 @@
+"""Where the cell's cameras are: a depth camera and, beside it, a colour camera, both in the robot's base frame.
+
+As JSON, pixel centres at +0.5, ``color`` only where there is such a camera:
+``{"depth": {"camera": {"width": 1032, ...}, "T_world_camera": [4 rows]}, "color": {...}}``.
+"""
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from reorient import se3, so3
+from reorient.errors import ReorientError
+from reorient.imaging import Camera
+from reorient.imaging.files import camera_from
+from reorient.runs.files import replacing
+from reorient.se3 import Transform
+
+
+@dataclass(frozen=True, eq=False)
+class MountedCamera:
+    """A camera and its place. Raises ReorientError for what is no rigid transform."""
+
+    camera: Camera
+    T_world_camera: Transform
+    """Takes camera axes (x right, y down, z forward) to world axes, metres."""
+
+    def __post_init__(self) -> None:
+        T = np.asarray(self.T_world_camera)
+        if T.shape != (4, 4) or not so3.is_rotation(T[:3, :3]) or not np.allclose(T[3], [0, 0, 0, 1]):
+            raise ReorientError("T_world_camera is no rigid transform: expected 4 x 4, a rotation and metres")
+
+    @property
+    def T_camera_world(self) -> Transform:
+        """Takes world axes to camera axes."""
+        return se3.inverse(self.T_world_camera)
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """The cameras of a cell, as calibrated."""
+
+    depth: MountedCamera
+    color: MountedCamera | None = None
+
+
+def read_calibration(path: str | Path) -> Calibration:
+    """A calibration file. Raises ReorientError, naming what is missing or broken."""
+    path = Path(path)
+    if not path.is_file():
+        raise ReorientError(f"no calibration file {str(path)!r}: expected JSON with 'depth' and perhaps 'color'")
+    try:
+        data = json.loads(path.read_text(errors="replace"))
+        color = data.get("color")
+        return Calibration(_mounted(data, "depth"), None if color is None else _mounted(data, "color"))
+    except json.JSONDecodeError as error:
+        raise ReorientError(f"calibration file {str(path)!r} is not JSON ({error})") from error
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        what = f"no {error}" if isinstance(error, KeyError) else str(error)
+        raise ReorientError(
+            f"broken calibration file {str(path)!r} ({what}): expected for 'depth', and perhaps 'color', "
+            "a camera (width, height, fx, fy, cx, cy) and T_world_camera (4 x 4)"
+        ) from error
+
+
+def write_calibration(path: str | Path, calibration: Calibration) -> None:
+    """Write what ``read_calibration`` reads."""
+    cameras = {"depth": calibration.depth, "color": calibration.color}
+    data = {
+        name: {"camera": asdict(mounted.camera), "T_world_camera": mounted.T_world_camera.tolist()}
+        for name, mounted in cameras.items()
+        if mounted is not None
+    }
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(data, indent=1) + "\n")
+
+
+def _mounted(data: dict[str, Any], name: str) -> MountedCamera:
+    return MountedCamera(camera_from(data[name]["camera"], name), np.array(data[name]["T_world_camera"], float))

@@ -1,0 +1,1 @@
+"""The geometry kernel: depth views, the alignment problem, scores, Gauss-Newton, normals."""

@@ -1,0 +1,1 @@
+"""Resumable measurement runs: files that are whole or absent, provenance, worker pools."""

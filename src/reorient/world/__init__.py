@@ -1,0 +1,1 @@
+"""The simulated world: meshes, generated shapes, object sets, symmetry, rendering, sensing, pairs."""

@@ -1,0 +1,105 @@
+"""Pairs: one object seen twice, before and after a known rotation (paper, "Dataset Generation")."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+from numpy.random import Generator
+
+from reorient import so3
+from reorient.errors import ReorientError
+from reorient.imaging import DepthImage
+from reorient.world.objects import ObjectSource
+from reorient.world.rendering import Placement, Renderer, World, load_world
+from reorient.world.sensing import Sensor, sense
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A start, a goal and the truth between them."""
+
+    current: DepthImage
+    """I_s, which bears the rectangle."""
+    goal: DepthImage
+    """I_g."""
+    R_goal_current: Float[np.ndarray, "3 3"]
+    """What turns the start into the goal: R_g = R_goal_current @ R_s."""
+    R_camera_object: Float[np.ndarray, "3 3"]
+    """The start orientation R_s."""
+    placement: Placement
+    pivot_m: Float[np.ndarray, "3"]
+    """The nominal rotation centre, up to 1 cm wrong along each axis."""
+
+
+FEWEST_RETURNS = 100  # views that show less (a sheet edge on) ask nothing of an estimator, and are drawn again
+
+
+def sample_pair(
+    rng: Generator, renderer: Renderer, world: World, sensor: Sensor, low_rad: float, high_rad: float
+) -> Pair:
+    """Draw R_s uniform on SO(3), a rotation of an angle uniform in [low, high] about a uniform axis, and two images.
+
+    Drawn again where either image has fewer than 100 returns; raises ReorientError for an object that never has.
+    """
+    for _ in range(100):
+        placement = world.place(rng, renderer.mesh)
+        R_start = so3.sample_uniform(rng, 1)[0]
+        R_goal_current = so3.matrix_from_quat(so3.sample_bounded(rng, 1, low_rad, high_rad))[0]
+        try:
+            current = sense(rng, renderer, world.camera, R_start, placement, sensor, world.quantum_m, occluded=True)
+            goal = sense(rng, renderer, world.camera, R_goal_current @ R_start, placement, sensor, world.quantum_m)
+        except ReorientError:  # nothing seen at all
+            continue
+        if min(np.count_nonzero(image.depth_m) for image in (current, goal)) >= FEWEST_RETURNS:
+            return Pair(current, goal, R_goal_current, R_start, placement, placement.nominal_pivot_m(rng))
+    raise ReorientError("an object shows fewer than 100 returns from everywhere: expected a larger surface")
+
+
+def view_overlap(renderer: Renderer, pair: Pair) -> float:
+    """Share of the goal's visible surface, as its exact image shows it, that the start's camera sees too.
+
+    By casting rays at the mesh, without the sensor: what the rectangle, noise or shadows hide counts as seen.
+    """
+    camera, center_m = pair.goal.camera, pair.placement.center_m
+    depth_m = renderer.depth(camera, pair.R_goal_current @ pair.R_camera_object, pair.placement)
+    points_m = (DepthImage(depth_m, camera).points() - center_m) @ pair.R_goal_current + center_m
+    hidden = renderer.shadowed(points_m, np.zeros(3), pair.R_camera_object, pair.placement)
+    return 1 - float(hidden.mean())
+
+
+LARGEST_CHUNK = 64  # pairs, what one read of a stored set brings
+
+
+@dataclass(frozen=True)
+class PairSet:
+    """What to draw."""
+
+    objects: ObjectSource = field(default_factory=ObjectSource)
+    """Whose pairs are drawn."""
+    pairs_per_object: int = 200
+    """Each from a start and a turn of its own."""
+    world: str = "paper"
+    """Preset of camera, size and distance: paper or benchmark."""
+    low_deg: float = 0.0
+    """Smallest angle between start and goal."""
+    high_deg: float = 30.0
+    """Largest angle between start and goal."""
+    noise_mm: float = 0.0
+    """Depth noise of the structured-light sensor; 0: rectangle and dropouts alone."""
+    seed: int = 0
+    """Of the pairs."""
+
+    def __post_init__(self) -> None:
+        """Raises ReorientError for what cannot be drawn."""
+        load_world(self.world)
+        if not 0 <= self.low_deg <= self.high_deg <= 180:
+            raise ReorientError(
+                f"range {self.low_deg:g} to {self.high_deg:g} degrees: expected 0 <= low <= high <= 180"
+            )
+        if self.pairs_per_object < 1 or self.seed < 0 or not 0 <= self.noise_mm < np.inf:
+            raise ReorientError("expected at least one pair an object, and noise and a seed from 0")
+
+    @property
+    def chunk(self) -> int:
+        """Pairs a chunk: the most that divide an object's pairs evenly."""
+        return max(n for n in range(1, LARGEST_CHUNK + 1) if self.pairs_per_object % n == 0)

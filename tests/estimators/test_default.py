@@ -1,0 +1,367 @@
+"""The default estimator: any rotation, alternatives, history, confidence; and the laws that its parts obey."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from reorient import so3
+from reorient.errors import ReorientError
+from reorient.estimators import default, load_estimator
+from reorient.estimators.default import Default, pose
+from reorient.estimators.search import EFFORTS, search
+from reorient.estimators.verifier import FEATURES, Judge, features, load_judge
+from reorient.imaging import Camera, DepthImage
+from reorient.registration.normals import fit_planes
+from reorient.registration.refine import BOX_POINTS, Hypotheses, descend, distinct, normal_equations, scatter
+from reorient.registration.surface import LARGEST_PX, compact
+from reorient.reporting.explaining import in_words, picture
+from reorient.world.pairs import sample_pair
+from reorient.world.rendering import Placement, Renderer, load_world
+from reorient.world.sensing import Sensor, randomised
+
+WORLD = load_world("benchmark")
+
+
+def pair_of(mesh, seed=0, angle_deg=90.0, sensor=None):
+    turn = np.radians(angle_deg)
+    return sample_pair(np.random.default_rng(seed), Renderer(mesh), WORLD, sensor or Sensor(), turn, turn)
+
+
+def errors_deg(R, truth):
+    return np.degrees(so3.angle_difference(R, truth))
+
+
+def motion_of(pair):
+    """The true hypothesis."""
+    center, R = pair.placement.center_m, pair.R_goal_current
+    return Hypotheses(R[None], (center - R @ center)[None])
+
+
+@pytest.mark.parametrize("angle_deg", [45, 90, 150])
+@pytest.mark.parametrize("given", [True, False])
+def test_far_rotations(mesh, angle_deg, given):
+    pairs = [pair_of(mesh, seed, angle_deg, randomised(0.001)) for seed in range(6)]
+    estimator = load_estimator("default")
+    estimates = [estimator.estimate(p.current, p.goal, p.pivot_m if given else None) for p in pairs]
+    errors = [errors_deg(e.R_goal_current, p.R_goal_current) for e, p in zip(estimates, pairs, strict=True)]
+    assert np.mean(np.array(errors) < 5) >= (0.8 if angle_deg < 120 else 0.5)
+    assert all(0 <= e.confidence <= 1 for e in estimates)
+
+
+def test_mirror_inverse_and_conjugate_are_told_apart(mesh):
+    pair = pair_of(mesh, 3, 100)
+    R, R_start = pair.R_goal_current, pair.R_camera_object
+    estimate = load_estimator().estimate(pair.current, pair.goal, pair.pivot_m)
+    assert errors_deg(estimate.R_goal_current, R) < 3
+    assert np.linalg.det(estimate.R_goal_current) == pytest.approx(1)
+    for wrong in (R.T, R_start.T @ R @ R_start):
+        assert errors_deg(estimate.R_goal_current, wrong) > 10
+    mirrored = DepthImage(pair.goal.depth_m[:, ::-1], pair.goal.camera)  # what no rotation makes
+    unlike = load_estimator().estimate(pair.current, mirrored, pair.pivot_m)
+    assert unlike.confidence < estimate.confidence
+
+
+def test_deterministic(mesh):
+    pair = pair_of(mesh, 1, 80, randomised(0.001))
+    first, second = (load_estimator().estimate(pair.current, pair.goal) for _ in range(2))
+    np.testing.assert_array_equal(first.R_goal_current, second.R_goal_current)
+    assert first.confidence == second.confidence
+
+
+def test_many_are_the_same_as_one_by_one(mesh):
+    pairs = [pair_of(mesh, seed, 40) for seed in range(2)]
+    estimator = Default("fast")
+    many = estimator.estimate_many([(p.current, p.goal) for p in pairs], [p.pivot_m for p in pairs], workers=2)
+    for estimate, pair in zip(many, pairs, strict=True):
+        alone = estimator.estimate(pair.current, pair.goal, pair.pivot_m)
+        np.testing.assert_array_equal(estimate.R_goal_current, alone.R_goal_current)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_pivot_each_or_none(mesh, workers):
+    pair = pair_of(mesh, 0, 40)
+    with pytest.raises(ReorientError, match="1 pivots for 3 pairs: expected one each"):
+        Default("fast").estimate_many([(pair.current, pair.goal)] * 3, [None], workers)
+
+
+@pytest.mark.parametrize("effort", ["fast", "normal", "thorough"])
+def test_every_effort_answers_and_has_its_calibration(mesh, effort):
+    pair = pair_of(mesh, 2, 50, randomised(0.001))
+    estimate = Default(effort).estimate(pair.current, pair.goal, pair.pivot_m)
+    assert errors_deg(estimate.R_goal_current, pair.R_goal_current) < 5
+    assert 0.5 < estimate.confidence <= 1
+    assert set(load_judge().calibration) == set(EFFORTS)
+
+
+def test_unknown_effort():
+    with pytest.raises(ReorientError, match="unknown effort 'thorogh': expected one of .*did you mean 'thorough'"):
+        Default("thorogh")
+
+
+def test_a_symmetric_object_has_alternatives_with_the_truth_among_them():
+    """A box of three different sides: half turns about its axes look alike."""
+    found = []
+    for seed in range(6):
+        pair = pair_of(trimesh.creation.box((1.0, 0.7, 0.45)), seed, 60)
+        estimate = load_estimator().estimate(pair.current, pair.goal, pair.pivot_m)
+        rotations = [estimate.R_goal_current, *(R for R, _ in estimate.alternatives)]
+        found.append((len(rotations), errors_deg(np.stack(rotations), pair.R_goal_current).min()))
+        assert sum(p for _, p in estimate.alternatives) <= 1
+    counts, errors = np.array(found).T
+    assert np.median(counts) >= 2
+    assert np.mean(errors < 5) >= 0.8
+
+
+def test_a_distinctive_object_has_none(mesh):
+    pairs = [pair_of(mesh, seed, 40) for seed in range(6)]
+    estimates = [load_estimator().estimate(p.current, p.goal, p.pivot_m) for p in pairs]
+    assert sum(not e.alternatives for e in estimates) >= 4
+
+
+def test_history_enlarges_the_evidence(mesh):
+    """Earlier views between start and goal decide what two views that share little leave open."""
+    rng = np.random.default_rng(4)
+    renderer, center = Renderer(mesh), np.array([0.0, 0.0, 0.6])
+    placement = Placement(0.1, center)
+    alone, helped = [], []
+    for _ in range(6):
+        R_goal = so3.sample_uniform(rng, 1)[0]
+        axis = so3.sample_axes(rng, 1)[0]
+        steps = [so3.exp(axis * np.radians(a)) for a in (40.0, 80.0, 150.0)]
+
+        def image(R, R_goal=R_goal):
+            return DepthImage(renderer.depth(WORLD.camera, R @ R_goal, placement), WORLD.camera)
+
+        now = steps[2]
+        history = [(image(R), now @ R.T) for R in steps[:2]]
+        for errors, past in ((alone, ()), (helped, history)):
+            estimate = load_estimator("fast").estimate(image(now), image(np.eye(3)), center, past)
+            errors.append(errors_deg(estimate.R_goal_current, now.T))
+    assert np.sum(np.array(helped) < 5) >= np.sum(np.array(alone) < 5)
+    assert np.mean(np.array(helped) < 5) >= 0.8
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    "R_now_then", [np.zeros((3, 3)), np.diag([1.0, 1.0, -1.0]), 2 * np.eye(3), np.full((3, 3), np.nan), np.eye(4), None]
+)
+def test_a_history_of_other_things_than_rotations_is_refused(mesh, R_now_then):
+    pair = pair_of(mesh)
+    for history in ([(pair.current, R_now_then)], [(pair.current.depth_m, np.eye(3))], [pair.current], None):
+        with pytest.raises(ReorientError, match=r"history: expected pairs \(DepthImage, R_now_then\)"):
+            load_estimator("fast").estimate(pair.current, pair.goal, None, history)
+
+
+def test_earlier_views_slide_into_place_where_the_pivot_is_wrong(mesh):
+    rng = np.random.default_rng(2)
+    renderer, center = Renderer(mesh), np.array([0.0, 0.0, 0.6])
+    placement, R = Placement(0.1, center), so3.exp(np.array([0.0, 0.6, 0.2]))
+    R_then = so3.sample_uniform(rng, 1)[0]
+    then, now = (DepthImage(renderer.depth(WORLD.camera, x, placement), WORLD.camera) for x in (R_then, R @ R_then))
+    problem = pose(now, now, center + 0.008, [(then, R)])
+    assert len(problem.looks) == 2
+    np.testing.assert_array_equal(problem.looks[1].R_now_then, R)
+    moved = R @ center + problem.looks[1].t_now_then_m
+    assert np.linalg.norm(moved - center) < 0.003
+    assert len(pose(now, now, center, [(now, so3.exp(np.array([0.0, 0.05, 0.0])))]).looks) == 1  # shows nothing new
+
+
+def test_degenerate_images_are_answered_or_refused():
+    camera = Camera(64, 64, 60.0, 60.0, 32.0, 32.0)
+    line, dot = np.zeros((64, 64)), np.zeros((64, 64))
+    line[30, 5:60], dot[20:25, 20:25] = 0.5, 0.5
+    for current in (line, dot):
+        estimate = load_estimator("fast").estimate(DepthImage(current, camera), DepthImage(line, camera))
+        assert so3.is_rotation(estimate.R_goal_current)
+        assert np.isfinite(estimate.confidence)
+
+
+@pytest.mark.parametrize("f", [535.0, 1122.0])
+def test_other_cameras(mesh, f):
+    """Another focal length and image size, off the centre; large pictures are shrunk."""
+    rng = np.random.default_rng(1)
+    renderer, R_start = Renderer(mesh), so3.sample_uniform(rng, 1)[0]
+    R = so3.exp(np.radians([40.0, -50.0, 20.0]))
+    camera = Camera(500, 400, f, f, 180.0, 230.0)
+    placement = Placement(0.1, np.array([0.03, -0.02, 0.7]))
+    images = [DepthImage(renderer.depth(camera, x, placement), camera) for x in (R_start, R @ R_start)]
+    assert max(compact(images[0]).depth_m.shape) <= LARGEST_PX + 1
+    estimate = load_estimator().estimate(*images)
+    assert errors_deg(estimate.R_goal_current, R) < 1.5
+
+
+# --- laws of the parts ----------------------------------------------------------------------------------------------
+
+
+def test_planes_of_a_plane():
+    camera = Camera(60, 50, 80.0, 70.0, 31.0, 24.0)
+    normal, offset = np.array([0.3, -0.2, -0.93]) / np.linalg.norm([0.3, -0.2, -0.93]), -0.5
+    depth_m = offset / (camera.rays() @ normal)
+    depth_m[10:14] = 0
+    planes = fit_planes(DepthImage(depth_m, camera))
+    np.testing.assert_allclose(planes.normals, np.broadcast_to(normal, planes.normals.shape), atol=2e-4)
+    np.testing.assert_allclose(planes.offsets_m, offset, atol=2e-4)
+
+
+def test_the_pivot_costs_nothing_that_leaves_it_in_place(mesh, rng):
+    pair = pair_of(mesh)
+    frame = pose(pair.current, pair.goal, pair.placement.center_m).frame
+    R = so3.sample_uniform(rng, 4)
+    t_m = frame.start(R)
+    np.testing.assert_allclose(frame.surprise(R, t_m), 0, atol=1e-9)
+    along = np.stack([so3.log(x) / np.linalg.norm(so3.log(x)) for x in R])
+    across = np.cross(along, [1.0, 0.0, 0.0])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    # a wrong pivot explains a shift across the axis, never one along it
+    assert np.all(frame.surprise(R, t_m + 0.01 * along) > frame.surprise(R, t_m + 0.01 * across))
+
+
+def test_first_translations(mesh, rng):
+    """About a known pivot; else what is seen stands where the goal stands, whatever the rotation."""
+    pair, R = pair_of(mesh, 3, 120), so3.sample_uniform(rng, 5)
+    known = pose(pair.current, pair.goal, pair.pivot_m)
+    np.testing.assert_allclose(R @ pair.pivot_m + known.start(R), np.broadcast_to(pair.pivot_m, (5, 3)))
+    unknown = pose(pair.current, pair.goal, None)
+    seen, goal = (x.sample(BOX_POINTS).T for x in (unknown.looks[0].surface, unknown.goal))
+    for turn, t_m in zip(R, unknown.start(R), strict=True):
+        x = seen @ turn.T + t_m
+        low, high = np.stack([x.min(axis=0), goal.min(axis=0)]), np.stack([x.max(axis=0), goal.max(axis=0)])
+        np.testing.assert_allclose(*(low + high)[:, :2] / 2, atol=1e-6)
+        np.testing.assert_allclose(*low[:, 2], atol=1e-6)
+
+
+def test_hypotheses_do_not_depend_on_their_company(mesh, rng):
+    """Batches are only a matter of speed."""
+    pair = pair_of(mesh, 3, 60)
+    problem, R = pose(pair.current, pair.goal, None), so3.sample_uniform(rng, 700)
+    every = Hypotheses(R, problem.start(R))
+    alone = every[np.array([0, 350, 699])]
+    scores = problem.score(every, 0.03, 100)
+    np.testing.assert_allclose(scores[[0, 350, 699]], problem.score(alone, 0.03, 100), atol=1e-6)
+    H, g = normal_equations(problem, every, 0.03, 60)
+    H_alone, g_alone = normal_equations(problem, alone, 0.03, 60)
+    np.testing.assert_allclose(H[[0, 350, 699]], H_alone, rtol=1e-3, atol=1e-2)
+    np.testing.assert_allclose(g[[0, 350, 699]], g_alone, rtol=1e-3, atol=1e-2)
+
+
+def step_rad(H, g):
+    """The turn of an undamped Gauss-Newton step."""
+    return -np.linalg.solve(H, g[:, :, None])[0, :3, 0]
+
+
+def test_steps_vanish_at_the_truth_and_lead_there_from_nearby(mesh):
+    pair = pair_of(mesh, 5, 30)
+    problem, truth = pose(pair.current, pair.goal, pair.placement.center_m), motion_of(pair)
+    at_truth = step_rad(*normal_equations(problem, truth, 0.01, 2000))
+    turn = so3.exp(np.array([[0.0, 0.05, 0.0]]))
+    center = problem.frame.center_m
+    near = Hypotheses(turn @ truth.R, (turn @ (truth.t_m - center)[:, :, None])[:, :, 0] + center)
+    H, nearby = normal_equations(problem, near, 0.01, 2000)
+    assert np.linalg.norm(at_truth) < np.radians(0.3)
+    assert step_rad(H, nearby) @ np.array([0.0, -1.0, 0.0]) > 0.02
+    np.testing.assert_allclose(H, np.swapaxes(H, 1, 2), rtol=1e-4, atol=1e-2)
+    assert np.linalg.eigvalsh(H).min() > 0
+
+
+def test_descent_ends_at_the_truth(mesh, rng):
+    pair = pair_of(mesh, 5, 30)
+    problem, truth = pose(pair.current, pair.goal, None), motion_of(pair)
+    turn = so3.exp(rng.normal(0, 0.08, (8, 3)))
+    start = Hypotheses(turn @ truth.R, problem.frame.start(turn @ truth.R))
+    end = descend(problem, start, (0.05, 0.05, 0.04, 0.03, 0.02, 0.015, 0.01, 0.01, 0.005, 0.005), 1000)
+    assert np.median(errors_deg(end.R, pair.R_goal_current)) < 0.5
+
+
+def test_descent_without_turning_keeps_the_rotations(mesh, rng):
+    pair = pair_of(mesh, 5, 30)
+    problem, truth = pose(pair.current, pair.goal, None), motion_of(pair)
+    end = descend(problem, Hypotheses(truth.R, truth.t_m + 0.01), (0.04, 0.03, 0.02, 0.01), 500, turn=False)
+    np.testing.assert_allclose(end.R, truth.R, atol=1e-12)
+    assert np.linalg.norm(end.t_m - truth.t_m) < 0.002
+
+
+def test_scattering_never_makes_it_worse(mesh, rng):
+    pair = pair_of(mesh, 2, 60)
+    problem = pose(pair.current, pair.goal, pair.pivot_m)
+    R = so3.sample_uniform(rng, 6)
+    start = Hypotheses(R, problem.frame.start(R))
+    end = scatter(problem, start, rng, 16, 0.2, 0.03, 0.03, 300)
+    assert np.all(problem.score(end, 0.03, 300) >= problem.score(start, 0.03, 300) - 1e-6)
+
+
+def test_distinct_takes_the_best_first_and_none_too_near():
+    R = so3.exp(np.radians([[0.0, 0, 0], [4, 0, 0], [20, 0, 0], [24, 0, 0], [60, 0, 0]]))
+    score = np.array([0.1, 0.5, 0.4, 0.3, 0.2])
+    assert distinct(R, score, 5, np.radians(10)).tolist() == [1, 2, 4]
+    assert distinct(R, score, 2, np.radians(10)).tolist() == [1, 2]
+
+
+def test_figures_have_their_names_and_speak_for_the_truth(mesh):
+    pair = pair_of(mesh, 2, 60)
+    problem = pose(pair.current, pair.goal, pair.pivot_m)
+    hypotheses = search(problem, EFFORTS["fast"])
+    figures = features(problem, problem.looks[0], hypotheses)
+    assert figures.shape == (len(hypotheses), len(FEATURES))
+    assert np.all(np.isfinite(figures))
+    best = np.argmax(load_judge().log_odds(figures))
+    assert errors_deg(hypotheses.R[best], pair.R_goal_current) < 5
+
+
+def test_trees_by_hand():
+    """One tree: below 0.5 in figure 1 adds -2; above it, figure 0 decides between 1 and 3."""
+    judge = Judge(
+        feature=np.array([[1, 0, 0, 0, 0]]),
+        threshold=np.array([[0.5, np.inf, 2.0, np.inf, np.inf]]),
+        left=np.array([[1, 1, 3, 3, 4]]),
+        right=np.array([[2, 1, 4, 3, 4]]),
+        value=np.array([[0.0, -2.0, 0.0, 1.0, 3.0]]),
+        depth=2,
+        baseline=0.5,
+        calibration={"normal": (2.0, -1.0), "fast": (1.0, 0.0)},
+    )
+    figures = np.array([[9.0, 0.5], [2.0, 0.6], [2.1, 0.6]])
+    np.testing.assert_allclose(judge.log_odds(figures), [-1.5, 1.5, 3.5])
+    np.testing.assert_allclose(judge.probability(np.array([0.5]), "normal"), [0.5])
+    np.testing.assert_allclose(judge.probability(np.array([0.0]), "fast"), [0.5])
+
+
+def test_a_file_that_is_no_judge_is_refused(tmp_path):
+    path = tmp_path / "verifier.npz"
+    path.write_bytes(b"no weights")
+    with pytest.raises(ReorientError, match="cannot read the judge .* expected the package's verifier.npz"):
+        load_judge(path)
+
+
+def test_the_polish_is_kept_unless_it_slides_away(mesh, monkeypatch):
+    pair = pair_of(mesh, 5, 60, randomised(0.001))
+    problem, truth = pose(pair.current, pair.goal, pair.pivot_m), motion_of(pair)
+    polished = default._polished(problem, truth)
+    assert errors_deg(polished.R[0], pair.R_goal_current) < 1
+    slid = Hypotheses(so3.exp(np.array([[0.0, 0.2, 0.0]])) @ truth.R, truth.t_m)
+    for answer, kept in ((polished, True), (slid, False)):
+        monkeypatch.setattr(default, "_registered", lambda *_, answer=answer: answer)
+        assert (default._polished(problem, truth) is answer) == kept
+
+
+# --- words and pictures ---------------------------------------------------------------------------------------------
+
+
+def test_words_and_picture(mesh):
+    pair = pair_of(mesh, 2, 40)
+    estimate = load_estimator("fast").estimate(pair.current, pair.goal, pair.pivot_m)
+    assert "sure to be within 5 degrees" in in_words(estimate)
+    drawn = picture(pair.current, pair.goal, estimate, size_px=64)
+    assert drawn.width > 4 * 64 - 8
+    assert "not calibrated" in in_words(load_estimator("gicp").estimate(pair.current, pair.goal))
+
+
+def test_words_of_a_symmetric_object(mesh):
+    pair = pair_of(mesh, 2, 40)
+    estimate = load_estimator("fast").estimate(pair.current, pair.goal, pair.pivot_m)
+    flipped = so3.exp(np.array([0.0, np.pi, 0.0])) @ estimate.R_goal_current
+    words = in_words(replace(estimate, alternatives=((flipped, 0.4),)))
+    assert "2 orientations fit about equally well (60%, 40%)" in words
+    assert "symmetric about [" in words
+    assert "180 degrees from the answer" in words

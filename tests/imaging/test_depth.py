@@ -1,0 +1,241 @@
+"""Cameras and depth images: checks, points, crops, isolation."""
+
+from dataclasses import astuple
+
+import numpy as np
+import pytest
+
+from reorient.errors import ReorientError
+from reorient.imaging import Camera, DepthImage, isolate
+from reorient.imaging.isolation import require_isolated
+
+
+@pytest.fixture
+def image(camera, rng):
+    """Returns in an ellipse off the middle, every depth different."""
+    depth_m = rng.uniform(0.5, 0.7, (camera.height, camera.width)).astype(np.float32)
+    rows, columns = np.mgrid[: camera.height, : camera.width]
+    outside = ((rows - 40) / 20) ** 2 + ((columns - 35) / 28) ** 2 > 1
+    return DepthImage(np.where(outside, np.float32(0), depth_m), camera, stamp_s=12.5)
+
+
+def rows_of(points):
+    return {tuple(point) for point in np.round(points, 9)}
+
+
+# --- checks ---------------------------------------------------------------------------------------------------------
+
+FLAT = np.full((72, 96), 0.6, np.float32)
+
+
+def spoilt(value):
+    depth_m = FLAT.copy()
+    depth_m[3, 4] = value
+    return depth_m
+
+
+@pytest.mark.parametrize(
+    ("depth_m", "message"),
+    [
+        (np.full((72, 96), 600, np.uint16), "dtype uint16: expected floating-point metres"),
+        (np.ones((72, 96), bool), "dtype bool: expected floating-point metres"),
+        (FLAT.T, r"shape \(96, 72\): expected \(height, width\) = \(72, 96\)"),
+        (FLAT[..., None], r"shape \(72, 96, 1\): expected \(height, width\)"),
+        (spoilt(np.nan), "1 NaN or infinite pixels: expected 0 for no return"),
+        (spoilt(np.inf), "1 NaN or infinite pixels: expected 0 for no return"),
+        (spoilt(-0.1), "as low as -0.1 m: expected no negative value"),
+        (0 * FLAT, "0 everywhere: expected returns from the object"),
+        (1000 * FLAT, "median depth is 600: this looks like millimetres"),
+        (spoilt(1.0).astype(float) * 1e39, "6912 NaN or infinite pixels"),
+        ([[0.5], [0.5, 0.6]], r"depth is no image .* expected an array \(height, width\)"),
+    ],
+)
+@pytest.mark.usefixtures("unchecked")
+def test_depth_image_refuses(depth_m, message, camera):
+    with pytest.raises(ReorientError, match=message):
+        DepthImage(depth_m, camera)
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("camera", [None, (110.0, 104.0, 45.25, 33.5)])
+def test_depth_image_refuses_missing_intrinsics(camera):
+    with pytest.raises(ReorientError, match="missing intrinsics: expected a reorient"):
+        DepthImage(FLAT, camera)
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("stamp_s", ["now", np.nan])
+def test_depth_image_refuses_a_stamp_that_is_no_time(stamp_s, camera):
+    with pytest.raises(ReorientError, match="stamp .* expected finite seconds, or None"):
+        DepthImage(FLAT, camera, stamp_s)
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64])
+def test_depth_of_any_float_is_kept_as_float32_of_its_own(dtype, camera):
+    depth_m = FLAT.astype(dtype)
+    image = DepthImage(depth_m, camera)
+    depth_m[:] = 0
+    assert image.depth_m.dtype == np.float32
+    assert np.allclose(image.depth_m, 0.6, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ((0, 72, 110.0, 104.0, 45.0, 33.0), "camera of 0 x 72 px: expected whole numbers above 0"),
+        ((96, -72, 110.0, 104.0, 45.0, 33.0), "camera of 96 x -72 px: expected whole numbers above 0"),
+        ((96, 72, 0.0, 104.0, 45.0, 33.0), "fx=0.0, .* expected finite pixels, fx, fy > 0"),
+        ((96, 72, 110.0, -104.0, 45.0, 33.0), "fy=-104.0, .* expected finite pixels, fx, fy > 0"),
+        ((96, 72, 110.0, 104.0, np.nan, 33.0), "cx=nan, .* expected finite pixels"),
+        ((96, 72, np.inf, 104.0, 45.0, 33.0), "fx=inf, .* expected finite pixels"),
+        ((96, 72, None, 104.0, 45.0, 33.0), "fx=None, .* expected finite pixels"),
+        ((96, 72, "110", 104.0, 45.0, 33.0), "fx=110, .* expected finite pixels"),
+        ((96, 72, [110.0, 104.0], 104.0, 45.0, 33.0), "expected finite pixels"),
+        ((None, 72, 110.0, 104.0, 45.0, 33.0), "camera of None x 72 px: expected whole numbers"),
+        ((np.nan, 72, 110.0, 104.0, 45.0, 33.0), "camera of nan x 72 px: expected whole numbers"),
+        ((np.inf, 72, 110.0, 104.0, 45.0, 33.0), "camera of inf x 72 px: expected whole numbers"),
+        ((96, 72.5, 110.0, 104.0, 45.0, 33.0), "camera of 96 x 72.5 px: expected whole numbers"),
+    ],
+)
+@pytest.mark.usefixtures("unchecked")
+def test_camera_refuses(values, message):
+    with pytest.raises(ReorientError, match=message):
+        Camera(*values)
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_numbers_of_any_type_are_kept_as_plain_ones():
+    camera = Camera(np.int64(96), 72.0, *np.array([110.0, 104.0, 45.25, 33.5], np.float32))
+    image = DepthImage(FLAT, camera, np.float32(12.5))
+    assert [type(x) for x in astuple(camera)] == [int, int, float, float, float, float]
+    assert type(image.stamp_s) is float
+
+
+# --- points ---------------------------------------------------------------------------------------------------------
+
+
+def test_projected_points_return_to_their_pixel_centres(image):
+    rows, columns = np.nonzero(image.valid)
+    assert np.allclose(image.camera.project(image.points()), np.column_stack([columns, rows]) + 0.5, atol=1e-9)
+    assert np.allclose(image.points()[:, 2], image.depth_m[rows, columns])
+
+
+def test_pixel_centres_lie_at_a_half(camera):
+    depth_m = np.zeros((72, 96))
+    depth_m[0, 0] = 0.5
+    [point] = DepthImage(depth_m, camera).points()
+    assert np.allclose(point, [0.5 * (0.5 - 45.25) / 110, 0.5 * (0.5 - 33.5) / 104, 0.5])
+
+
+def test_points_behind_the_camera_have_no_pixel(camera):
+    assert np.all(np.isnan(camera.project(np.array([[0.0, 0.0, 0.0], [0.1, 0.1, -1.0]]))))
+
+
+# --- crops and sizes ------------------------------------------------------------------------------------------------
+
+
+def test_points_of_a_crop_are_those_of_the_window(image):
+    crop = image.cropped(10, 25, 40, 20)
+    assert crop.depth_m.shape == (20, 40)
+    u, v = image.camera.project(image.points()).T
+    inside = (u > 10) & (u < 50) & (v > 25) & (v < 45)
+    assert 0 < inside.sum() < len(inside)
+    assert np.allclose(crop.points(), image.points()[inside])
+    assert crop.stamp_s == image.stamp_s
+
+
+@pytest.mark.parametrize("window", [(-20, -10, 140, 100), (-20, 30, 60, 80), (30, -10, 100, 50)])
+def test_a_crop_beyond_the_border_has_no_returns_there(window, image):
+    left, top, width, height = window
+    crop = image.cropped(*window)
+    assert crop.depth_m.shape == (height, width)
+    assert rows_of(crop.points()) <= rows_of(image.points())
+    padded = np.pad(image.depth_m, 100)
+    assert np.array_equal(crop.depth_m, padded[100 + top : 100 + top + height, 100 + left : 100 + left + width])
+
+
+def test_a_crop_without_returns_is_refused(image):
+    for window in ((90, 0, 6, 5), (200, 200, 10, 10)):
+        with pytest.raises(ReorientError, match="0 everywhere"):
+            image.cropped(*window)
+
+
+@pytest.mark.parametrize("size", [(48, 36), (96, 72), (60, 100), (192, 144)])
+def test_a_resized_image_sees_the_same_points(size, image):
+    resized = image.resized(*size)
+    assert resized.depth_m.shape == size[::-1]
+    assert set(resized.depth_m[resized.valid]) <= set(image.depth_m[image.valid])
+    # each point falls into the original pixel that holds its depth; the right one, where it falls between two
+    u, v = np.floor(image.camera.project(resized.points()) + 1e-6).astype(int).T
+    assert np.allclose(image.depth_m[v, u], resized.points()[:, 2])
+
+
+def test_resizing_keeps_the_field_of_view(camera):
+    half = camera.resized(48, 144)
+    corners = np.array([[0.0, 0.0], [96.0, 72.0]])
+    for c, (width, height) in ((camera, (96, 72)), (half, (48, 144))):
+        x = (corners / (96, 72) * (width, height) - (c.cx, c.cy)) / (c.fx, c.fy)
+        assert np.allclose(x, (corners - (45.25, 33.5)) / (110, 104))
+
+
+# --- isolation ------------------------------------------------------------------------------------------------------
+
+
+def test_isolate_by_mask_box_and_range_keeps_what_satisfies_all(image):
+    rows, columns = np.mgrid[:72, :96]
+    mask = columns > rows
+    isolated = isolate(image, mask=mask, box_px=(20, 30, 30, 25), near_m=0.55, far_m=0.65)
+    inside = (columns >= 20) & (columns < 50) & (rows >= 30) & (rows < 55)
+    expected = image.valid & mask & inside & (image.depth_m >= 0.55) & (image.depth_m <= 0.65)
+    assert 0 < expected.sum() < image.valid.sum()
+    assert np.array_equal(isolated.depth_m, np.where(expected, image.depth_m, 0))
+    assert isolated.camera == image.camera
+    assert isolated.stamp_s == image.stamp_s
+
+
+def test_isolate_without_arguments_changes_nothing(image):
+    assert np.array_equal(isolate(image).depth_m, image.depth_m)
+
+
+def test_a_box_may_reach_beyond_the_image(image):
+    assert np.array_equal(isolate(image, box_px=(-50, -50, 500, 500)).depth_m, image.depth_m)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"mask": np.ones((96, 72), bool)}, r"mask of shape \(96, 72\): expected \(72, 96\)"),
+        ({"mask": np.zeros((72, 96), bool)}, "the mask is empty"),
+        ({"box_px": (0, 0, 0, 5)}, "box of 0 x 5 px: expected left, top, width, height"),
+        ({"box_px": (0, 0, 5)}, r"box \(0, 0, 5\): expected left, top, width, height in whole pixels"),
+        ({"box_px": (0.5, 0, 5, 5)}, "expected left, top, width, height in whole pixels"),
+        ({"box_px": (-40, -40, 30, 30)}, "nothing is left of the image"),
+        ({"near_m": 0.8}, "nothing is left of the image"),
+        ({"far_m": 0.3}, "nothing is left of the image"),
+    ],
+)
+@pytest.mark.usefixtures("unchecked")
+def test_isolate_refuses(arguments, message, image):
+    with pytest.raises(ReorientError, match=message):
+        isolate(image, **arguments)
+
+
+def test_a_full_frame_is_no_isolated_object(camera):
+    full = DepthImage(FLAT, camera)
+    for refused in (isolate, require_isolated):
+        with pytest.raises(ReorientError, match="isolate the object: returns fill 100% of the image"):
+            refused(full)
+    assert isolate(full, box_px=(0, 0, 50, 72)).valid.mean() < 0.6
+    with pytest.raises(ReorientError, match="isolate the object: returns fill 62%"):
+        isolate(full, box_px=(0, 0, 60, 72))
+
+
+def test_a_tight_crop_of_an_object_is_isolated(image):
+    crop = image.cropped(8, 21, 54, 38)
+    assert crop.valid.mean() > 0.6
+    assert np.array_equal(isolate(crop).depth_m, crop.depth_m)
+
+
+def test_a_window_without_size_is_refused(image):
+    with pytest.raises(ReorientError, match="camera of -5 x 50 px"):
+        image.cropped(10, 10, -5, 50)

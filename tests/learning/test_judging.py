@@ -1,0 +1,77 @@
+"""The judge's data and training, on a few objects."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from reorient.errors import ReorientError
+from reorient.estimators.verifier import FEATURES
+from reorient.learning.verifier import JudgeData, make, read
+from reorient.world.objects import ObjectSource
+
+CONFIG = JudgeData(ObjectSource(count=2), pairs=2, per_shard=1, effort="fast")
+
+
+@pytest.fixture(scope="module")
+def shards(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("shards")
+    states = list(make(CONFIG, folder))
+    return folder, states
+
+
+def test_every_hypothesis_is_a_row(shards):
+    folder, states = shards
+    data = read(folder)
+    assert states == [(0, 2), (1, 2), (2, 2)]
+    assert data.figures.shape == (len(data.pair), len(FEATURES))
+    assert set(data.pair.tolist()) == {0, 1, 2, 3}
+    assert set(data.object.tolist()) == {0, 1}
+    assert data.right.any()
+    assert not data.right.all()
+
+
+def test_goes_on_and_repeats_itself(shards, tmp_path):
+    folder, _ = shards
+    assert list(make(CONFIG, folder)) == [(2, 2)]
+    again = read(folder)
+    (folder / "shard-000001.npz").unlink()
+    assert list(make(CONFIG, folder)) == [(1, 2), (2, 2)]
+    np.testing.assert_array_equal(read(folder).figures, again.figures)
+
+
+def test_shards_of_another_config_are_not_mixed(shards):
+    folder, _ = shards
+    with pytest.raises(ReorientError, match="is of another config: expected the same, or a new folder"):
+        list(make(replace(CONFIG, seed=1), folder))
+    with pytest.raises(ReorientError, match="0 workers: expected at least 1"):
+        list(make(CONFIG, folder, workers=0))
+
+
+@pytest.mark.parametrize(
+    ("bad", "said"),
+    [
+        ({"effort": "foo"}, "unknown effort 'foo'"),
+        ({"world": "foo"}, "unknown world 'foo'"),
+        *(({name: 0}, "expected at least one pair") for name in ("pairs", "per_shard")),
+        ({"seed": -1}, "a seed from 0"),
+        *(({"most_noise_mm": value}, "expected finite noise") for value in (-1.0, np.nan, np.inf)),
+        *(({"most_wrong_focal": value}, "a share below 1") for value in (-0.1, 1.0, np.nan)),
+    ],
+)
+def test_what_cannot_be_made_is_refused(bad, said):
+    with pytest.raises(ReorientError, match=said):
+        JudgeData(**bad)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.99])
+def test_a_broken_shard_is_named(share, shards, tmp_path):
+    whole = (shards[0] / "shard-000000.npz").read_bytes()
+    (tmp_path / "shard-000000.npz").write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(ReorientError, match="cannot read .*shard-000000.npz.*expected what `judge make` wrote"):
+        read(tmp_path)
+
+
+def test_nothing_to_read(tmp_path):
+    with pytest.raises(ReorientError, match="no shards in"):
+        read(tmp_path)

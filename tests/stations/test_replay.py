@@ -1,0 +1,172 @@
+"""A record of a loop, and the record as a station: the same decisions again, from the files alone."""
+
+import json
+
+import numpy as np
+import pytest
+
+from reorient import Fusing, Limits, Proportional, StationError, orient, so3
+from reorient.errors import ReorientError
+from reorient.estimators.base import RotationEstimate
+from reorient.registration.evidence import Evidence
+from reorient.stations.faulty import FaultyStation
+from reorient.stations.rendered import RenderedStation
+from reorient.stations.replay import RecordingStation, ReplayedStation
+from reorient.world.rendering import load_world
+from reorient.world.sensing import randomised
+
+NOW = Limits(wait_s=0.0)
+
+
+class ByNumber:
+    """Answers by how often it was asked: the same on a replay as on the station."""
+
+    def __init__(self, confidence=None):
+        self.asked = 0
+        self.confidence = confidence
+
+    def estimate(self, current, goal, pivot_m=None, history=()):
+        if np.count_nonzero(current.depth_m) < 20:
+            raise ReorientError("current image has 1 returns")
+        self.asked += 1
+        turn = so3.exp(np.array([0.9, 0.1, 0.0]) / self.asked**2)
+        return RotationEstimate(turn, np.zeros(3), Evidence(1, 0, 0, 0, 0.0), self.confidence)
+
+
+@pytest.fixture
+def station(mesh):
+    return RenderedStation(mesh, load_world("benchmark"), randomised(0.001), np.random.default_rng(3))
+
+
+def same(one, other):
+    assert (one.reason, one.converged, one.moves) == (other.reason, other.converged, other.moves)
+    assert len(one.steps) == len(other.steps)
+    for a, b in zip(one.steps, other.steps, strict=True):
+        np.testing.assert_array_equal(a.image.depth_m, b.image.depth_m)
+        assert a.said == b.said
+        for x, y in ((a.R_step, b.R_step), (a.R_executed, b.R_executed)):
+            assert (x is None) == (y is None)
+            if x is not None:
+                np.testing.assert_array_equal(x, y)
+
+
+@pytest.mark.parametrize("strategy", [Fusing(), Proportional(eta=0.7)])
+def test_a_replay_decides_as_the_loop_did(tmp_path, station, strategy):
+    goal = station.capture_goal()
+    recording = RecordingStation(station, tmp_path / "record", goal, {"note": "any"})
+    first = orient(recording, goal, ByNumber(0.9), strategy, limits=NOW)
+    recording.finish(first.reason, first.converged)
+    replayed = ReplayedStation(tmp_path / "record")
+    assert replayed.record["reason"] == first.reason
+    np.testing.assert_array_equal(replayed.goal().depth_m, goal.depth_m)
+    same(orient(replayed, replayed.goal(), ByNumber(0.9), strategy, limits=NOW), first)
+
+
+def test_failures_are_recorded_and_come_again(tmp_path, station):
+    goal = station.capture_goal()
+    faulty = FaultyStation(station, np.random.default_rng(0), planned=["refused", "gone", "stale", "empty"])
+    recording = RecordingStation(faulty, tmp_path / "record", goal, {})
+    first = orient(recording, goal, ByNumber(0.9), Fusing(), limits=NOW)
+    assert len(first.faults) >= 4
+    replayed = ReplayedStation(tmp_path / "record")
+    again = orient(replayed, goal, ByNumber(0.9), Fusing(), limits=NOW)
+    assert [x.replace("recorded failure: StationError: ", "") for x in again.faults] == list(first.faults)
+    assert again.moves == first.moves
+
+
+def test_the_record_is_whole_after_every_act(tmp_path, station):
+    goal = station.capture_goal()
+    recording = RecordingStation(station, tmp_path / "record", goal, {})
+    for act in range(3):
+        recording.capture()
+        recording.rotate(so3.exp(np.array([0.1, 0, 0])))
+        record = json.loads((tmp_path / "record" / "record.json").read_text())
+        assert len(record["acts"]) == 2 * act + 2
+    assert not list((tmp_path / "record").glob(".*"))
+    assert recording.clock_s() == station.clock_s()
+    assert not hasattr(recording, "reachable")
+
+
+def test_a_loop_that_leaves_the_record_is_told(tmp_path, station):
+    goal = station.capture_goal()
+    recording = RecordingStation(station, tmp_path / "record", goal, {})
+    recording.capture()
+    recording.rotate(so3.exp(np.array([0.1, 0, 0])))
+    replayed = ReplayedStation(tmp_path / "record")
+    replayed.capture()
+    with pytest.raises(StationError, match="leaves the record at act 1: it asks to capture"):
+        replayed.capture()
+    with pytest.raises(StationError, match="asks for a move 5.7 degrees off"):
+        replayed.rotate(so3.exp(np.array([0.2, 0, 0])))
+    replayed.rotate(so3.exp(np.array([0.1, 0, 0])))
+    with pytest.raises(StationError, match="the record ends here"):
+        replayed.capture()
+
+
+def test_records_are_neither_overwritten_nor_invented(tmp_path, station):
+    goal = station.capture_goal()
+    RecordingStation(station, tmp_path / "record", goal, {})
+    with pytest.raises(ReorientError, match="holds a record: expected a new folder"):
+        RecordingStation(station, tmp_path / "record", goal, {})
+    with pytest.raises(ReorientError, match="no record in"):
+        ReplayedStation(tmp_path)
+    (tmp_path / "record" / "record.json").write_text("{}")
+    with pytest.raises(ReorientError, match="no record in"):
+        ReplayedStation(tmp_path / "record")
+
+
+class Narrow:
+    """Another station that reaches no rotation above 20 degrees, and has a clock that may fail or be odd."""
+
+    def __init__(self, station, clock_s=None):
+        self.station, self.pivot_m = station, station.pivot_m
+        self.capture, self.rotate = station.capture, station.rotate
+        if clock_s is not None:
+            self.clock_s = clock_s
+
+    def reachable(self, R_step):
+        return np.bool_(so3.angle(R_step) < np.radians(20))
+
+
+def test_what_can_be_reached_is_replayed_too(tmp_path, station):
+    goal = station.capture_goal()
+    recording = RecordingStation(Narrow(station), tmp_path / "record", goal, {})
+    first = orient(recording, goal, ByNumber(0.9), Fusing(), limits=NOW)
+    assert any("cannot turn" in fault for fault in first.faults)
+    replayed = ReplayedStation(tmp_path / "record")
+    again = orient(replayed, goal, ByNumber(0.9), Fusing(), limits=NOW)
+    same(again, first)
+    assert again.faults == first.faults
+    with pytest.raises(StationError, match="asks for the reach of another move"):
+        replayed.reachable(so3.exp(np.array([0, 0, 2.0])))
+    RecordingStation(station, tmp_path / "other", goal, {})
+    assert not hasattr(ReplayedStation(tmp_path / "other"), "reachable")
+
+
+def test_odd_clocks_and_values_do_not_spoil_a_record(tmp_path, station, unchecked):
+    def broken():
+        raise OSError("no clock")
+
+    goal = station.capture_goal()
+    for k, clock_s in enumerate((broken, lambda: np.float32(station.clock_s()))):
+        recording = RecordingStation(Narrow(station, clock_s), tmp_path / str(k), goal, {})
+        result = orient(recording, goal, ByNumber(0.9), Fusing(), limits=NOW)
+        assert result.moves
+        assert not any("clock" in fault or "JSON" in fault for fault in result.faults)
+        same(orient(ReplayedStation(tmp_path / str(k)), goal, ByNumber(0.9), Fusing(), limits=NOW), result)
+    with pytest.raises(TypeError):
+        recording._note({"capture": object()})
+    recording.finish("done", np.bool_(True))
+    assert json.loads((tmp_path / "1" / "record.json").read_text())["converged"] is True
+
+
+def test_a_station_that_cannot_tell_its_pivot_leaves_no_folder(tmp_path, station, unchecked):
+    class Unhomed(Narrow):
+        pivot_m = property(lambda self: 1 / 0, lambda self, value: None)
+
+    goal = station.capture_goal()
+    with pytest.raises(StationError, match="failed to tell its pivot_m: ZeroDivisionError"):
+        RecordingStation(Unhomed(station), tmp_path / "record", goal, {})
+    assert not (tmp_path / "record").exists()
+    with pytest.raises(StationError, match="failed to tell its pivot_m: ZeroDivisionError"):
+        orient(Unhomed(station), goal, ByNumber())
