@@ -3,6 +3,7 @@
 python benchmarks/method_figures.py docs/method
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -17,7 +18,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from reorient import Camera, DepthImage, so3
+from reorient import Camera, DepthImage, Fusing, load_estimator, orient, so3
+from reorient.controller.hypotheses import SAME_RAD
 from reorient.estimators.polish import covariance_rad2, polish
 from reorient.estimators.search import EFFORTS, Effort, perturb_and_select, propose, search
 from reorient.estimators.verifier import features, load_verifier
@@ -35,6 +37,7 @@ from reorient.registration.depth_view import Warped
 from reorient.registration.gauss_newton import WEIGHTS
 from reorient.reporting.pictures import shade
 from reorient.runs.files import make_folder, replacing
+from reorient.stations.rendered import RenderedStation
 from reorient.world.objects import generated
 from reorient.world.pairs import Pair, sample_pair
 from reorient.world.rendering import Renderer, load_world
@@ -52,6 +55,7 @@ CLASSES = {
 WIDTH_IN, DPI, COLOURS = 7.6, 110, 128
 STYLE = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False}
 OBJECT, SEED = 6, 3  # of the generator's sequence 0; of the pair
+LOOP = 1  # object and seed of the closed loop
 
 
 @dataclass(frozen=True)
@@ -65,12 +69,15 @@ class MethodFigures:
 def main(config: MethodFigures) -> None:
     """Draw all figures."""
     make_folder(config.out)
-    drawings = (draw_classes, draw_residuals, draw_weights, draw_pivot_prior, draw_search, draw_verifier, draw_polish)
-    with mpl.rc_context(STYLE):
-        for draw in drawings:
-            path = config.out / f"{draw.__name__.removeprefix('draw_').replace('_', '-')}.png"
-            _save(draw(), path)
-            print(path)
+    for draw in DRAWINGS:
+        path = config.out / f"{figure_name(draw)}.png"
+        with mpl.rc_context(STYLE):
+            save(draw(), path)
+        print(path)
+
+
+def figure_name(draw: Callable[[], Figure]) -> str:
+    return draw.__name__.removeprefix("draw_").replace("_", "-")
 
 
 def _figure(columns: int, height_in: float) -> tuple[Figure, list[Axes]]:
@@ -79,7 +86,7 @@ def _figure(columns: int, height_in: float) -> tuple[Figure, list[Axes]]:
     return figure, list(axes)
 
 
-def _save(figure: Figure, path: Path) -> None:
+def save(figure: Figure, path: Path) -> None:
     canvas = FigureCanvasAgg(figure)
     figure.set_dpi(DPI)
     canvas.draw()
@@ -339,6 +346,54 @@ def draw_polish() -> Figure:
     axes[1].set_xlabel(r"$\sqrt{\mathrm{tr}\,\Sigma}$ / degrees")
     return figure
 
+
+def draw_belief() -> Figure:
+    """Log-odds of the hypotheses over the images of one loop, and the remaining angle with its standard error."""
+    strategy, rng = Fusing(), np.random.default_rng(LOOP)
+    station = RenderedStation(_mesh(LOOP), load_world("benchmark"), randomised(0.001), rng)
+    goal, R_goal = station.capture_goal(), station.R_camera_object
+    station.R_camera_object = so3.sample_uniform(rng, 1)[0] @ R_goal
+    R_goal_start = R_goal @ station.R_camera_object.T
+    result = orient(station, goal, load_estimator(), strategy)
+    belief = strategy.start(goal)
+    tracks: list[tuple[np.ndarray, list[tuple[int, float]]]] = []
+    angles: list[tuple[int, float, float, float]] = []
+    for step in result.steps:
+        belief = belief.updated(step)
+        for hypothesis in belief.hypotheses:
+            away = [float(so3.angle_difference(hypothesis.R_goal_start, R)) for R, _ in tracks]
+            if not away or min(away) > SAME_RAD:
+                tracks.append((hypothesis.R_goal_start, []))
+                away.append(0.0)
+            tracks[int(np.argmin(away))][1].append((step.index, hypothesis.log_odds))
+        true_rad = float(so3.angle(R_goal_start @ belief.here.R_then_start.T))
+        R_goal_now, error_rad = belief.fused(belief.hypotheses[0])
+        angles.append((step.index, true_rad, float(so3.angle(R_goal_now)), error_rad))
+    figure, axes = _figure(2, 3.0)
+    for (R, track), line, width in zip(tracks, ("-", "-", "--", ":"), (2, 2, 2, 3), strict=False):
+        off_deg = float(np.degrees(so3.angle_difference(R, R_goal_start)))
+        colour = INLIER if off_deg < 15 else FREE_SPACE if line == "-" else OTHER
+        axes[0].plot(*np.array(track).T, line, lw=width, color=colour, label=f"{off_deg:.0f}°")
+    axes[0].set_ylabel(r"log-odds $\ell_h$")
+    axes[0].legend(title="error of the hypothesis", fontsize=7, loc="center right", bbox_to_anchor=(1.0, 0.6), ncols=2)
+    index, true_rad, fused_rad, error_rad = np.array(angles).T
+    axes[1].plot(index, np.degrees(true_rad), ".-", color=INLIER, label="true")
+    axes[1].plot(index, np.degrees(fused_rad), ".-", color=OCCLUDED, label="fused, likeliest hypothesis")
+    axes[1].plot(index, np.degrees(error_rad), ".:", color=OTHER, label="standard error")
+    axes[1].set_yscale("log")
+    axes[1].set_ylabel("remaining angle / degrees")
+    axes[1].legend(fontsize=7)
+    for axis in axes:
+        axis.set_xlabel("image")
+    for step in result.steps:
+        axes[1].text(step.index, 1.02, step.phase, transform=axes[1].get_xaxis_transform(), rotation=60, fontsize=7)
+    return figure
+
+
+DRAWINGS = (
+    *(draw_classes, draw_residuals, draw_weights, draw_pivot_prior, draw_search, draw_verifier, draw_polish),
+    draw_belief,
+)
 
 if __name__ == "__main__":
     main(tyro.cli(MethodFigures, description=__doc__))
