@@ -24,7 +24,6 @@ from reorient.world.sensing import randomised
 
 ROOT = Path(__file__).parents[1]
 PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "src").rglob("*.md")]
-GROUPS = {"objects", "verifier"}  # verbs that have verbs of their own
 
 pytestmark = pytest.mark.skipif(not (ROOT / "docs").is_dir(), reason="a source distribution has no docs")
 
@@ -108,18 +107,15 @@ def printed_help(*arguments: str) -> str:
         mock.patch.dict(os.environ, COLUMNS="200"),
         contextlib.redirect_stdout(printed),
         contextlib.redirect_stderr(io.StringIO()),
-        pytest.raises(SystemExit),
+        contextlib.suppress(SystemExit),
     ):
         main([*arguments, "--help"])
     return printed.getvalue()
 
 
-def help_of(*verbs: str) -> str:
-    """The help text of a verb; the empty string where there is no such verb."""
-    text = printed_help(*verbs)
-    if f"usage: reorient {' '.join(verbs)}" not in text:
-        return ""
-    recipes = ("paper", "swift", "debug") if verbs == ("train",) else ()
+def help_of(verb: str) -> str:
+    text = printed_help(*verb.split())
+    recipes = ("paper", "swift", "debug") if verb == "train" else ()
     return text + "".join(printed_help("train", "data", "run", recipe) for recipe in recipes)
 
 
@@ -128,13 +124,17 @@ def options(text: str) -> set[str]:
 
 
 @cache
+def verbs() -> list[str]:
+    """All verbs, those of two words included."""
+    return re.findall(r"^  ([a-z]+(?: [a-z]+)?)  +[A-Z]", printed_help(), re.MULTILINE)
+
+
+@cache
 def all_options() -> set[str]:
     """Of all verbs and benchmarks."""
-    verbs = [(verb,) for verb in re.findall(r"^\W*([a-z]+) ", help_of(), re.MULTILINE)]
-    verbs += [(group, verb) for group in GROUPS for verb in ("list", "check", "make", "train")]
     scripts = "".join(path.read_text() for path in (ROOT / "benchmarks").glob("*.py"))
     fields = re.findall(r"^    (\w+): ", scripts, re.MULTILINE)
-    return options("".join(help_of(*verb) for verb in verbs)) | {f"--{field.replace('_', '-')}" for field in fields}
+    return options("".join(map(help_of, verbs()))) | {f"--{field.replace('_', '-')}" for field in fields}
 
 
 def unknown_make(words: list[str]) -> list[str]:
@@ -158,12 +158,11 @@ def unknown_python(words: list[str]) -> list[str]:
 
 
 def unknown_reorient(words: list[str]) -> list[str]:
-    verbs = words[1 : 3 if words[1] in GROUPS and len(words) > 2 else 2]
-    if verbs[0].startswith("-") or verbs == ["..."]:
-        verbs = []
-    if not help_of(*verbs):
-        return [f"no verb {' '.join(verbs)!r}"]
-    return [f"no option {option}" for option in options(" ".join(words)) - options(help_of(*verbs))]
+    named = [verb for verb in (" ".join(words[1:3]), words[1]) if verb in verbs()]
+    if words[1] != "..." and not named:
+        return [f"no verb {' '.join(words[1:3])!r}"]
+    known = options(help_of(named[0])) if named else options(printed_help())
+    return [f"no option {option}" for option in options(" ".join(words)) - known]
 
 
 def unknown_option(words: list[str]) -> list[str]:
@@ -209,7 +208,7 @@ def test_code_names_pages_and_scripts_that_exist():
         ("```sh\nreorient estimate a.png b.png --explian c.png  # why\n```", "no option --explian"),
         ("```sh\nRUN='x'\nreorient estimate a b \\\n    --nowhere\n```", "no option --nowhere"),
         ('```sh\nRUN="--nowhere"\nreorient evaluate out $RUN\n```', "no option --nowhere"),
-        ("```sh\nreorient estimte a b\n```", "no verb 'estimte'"),
+        ("```sh\nreorient estimte a b\n```", "no verb 'estimte a'"),
         ("`reorient objects nowhere`", "no verb 'objects nowhere'"),
         ("`reorient objects list --nowhere 1`", "no option --nowhere"),
         ("the option `--nowhere`", "no option --nowhere"),
