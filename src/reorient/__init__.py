@@ -3,7 +3,7 @@
 >>> from reorient import Camera, DepthImage, load_estimator, orient
 """
 
-from reorient.controller import Fusing, Limits, OrientResult, Proportional, Step, orient
+from reorient.controller import Algorithm1, Fusing, Limits, OrientResult, Step, load_strategy, orient
 from reorient.controller.station import Station
 from reorient.errors import ReorientError, StationError
 from reorient.estimators import load_estimator
@@ -12,18 +12,19 @@ from reorient.imaging import Camera, DepthImage
 
 __version__ = "0.1.0.dev0"
 __all__ = [
+    "Algorithm1",
     "Camera",
     "DepthImage",
     "Estimator",
     "Fusing",
     "Limits",
     "OrientResult",
-    "Proportional",
     "ReorientError",
     "RotationEstimate",
     "Station",
     "StationError",
     "Step",
     "load_estimator",
+    "load_strategy",
     "orient",
 ]

@@ -2,7 +2,7 @@
 
 from typing import cast
 
-from reorient.controller.station import Station, lacking
+from reorient.controller.station import Station, missing_members
 from reorient.errors import ReorientError
 from reorient.plugins import make_own
 
@@ -16,7 +16,7 @@ def load_station(name: str) -> Station:
     if not module_name or not attribute:
         raise ReorientError(f"station {name!r}: expected 'rendered' or my_module:MyStation")
     station = make_own("station", name)
-    if missing := lacking(station, ("capture", "rotate", "pivot_m")):
+    if missing := missing_members(station, ("capture", "rotate", "pivot_m")):
         raise ReorientError(
             f"station {name!r} has no {', '.join(missing)}: expected capture(), rotate(R_step), pivot_m"
         )
