@@ -20,10 +20,8 @@ from scipy import ndimage
 
 from reorient import so3
 from reorient.estimators.base import RotationEstimate
-from reorient.estimators.default import pose
 from reorient.imaging import DepthImage
-from reorient.registration.evidence import View, size_m, weigh
-from reorient.registration.refine import Hypotheses, descend
+from reorient.registration import DepthView, build_problem, measure_evidence, refine
 
 POINTS = 1500
 """Points of each image in inlier ratios and scores. Not tuned."""
@@ -50,9 +48,9 @@ class PreparedImage:
         return self.image.points()
 
     @cached_property
-    def view(self) -> View:
+    def view(self) -> DepthView:
         """The image as a target for points of other images."""
-        return View(self.image, POINTS)
+        return DepthView(self.image)
 
     @cached_property
     def depth_step_m(self) -> Float[np.ndarray, " n"]:
@@ -78,9 +76,8 @@ class Observation(PreparedImage):
 
 def aligned(image: DepthImage, other: DepthImage) -> Motion:
     """The motion between two images of nearly the same pose, by registration from no motion."""
-    problem = pose(image, other, None)
-    stay = np.eye(3)[None]
-    result = descend(problem, Hypotheses(stay, problem.start(stay)), FINE, ALIGNMENT_POINTS)
+    problem = build_problem(image, other, None)
+    result = refine(problem, problem.start(np.eye(3)[None]), FINE, ALIGNMENT_POINTS)
     return result.R[0], result.t_m[0]
 
 
@@ -153,7 +150,7 @@ class ArrivalTest:
         """
         latest = observations[-self.window :]
         views, motions = [x.view for x in latest], [x.motion for x in latest]
-        tolerance_m = self.tolerance * max(size_m(views[0].all_points_m), size_m(goal.view.all_points_m))
+        tolerance_m = self.tolerance * max(views[0].diameter_m, goal.view.diameter_m)
         to_goal = [_inlier_ratio(view, goal.view, motions, tolerance_m) for view in views]
         between = [(Rb.T @ Ra, Rb.T @ (ta_m - tb_m)) for (Ra, ta_m), (Rb, tb_m) in permutations(motions, 2)]
         own = [_inlier_ratio(a, b, between, tolerance_m) for a, b in pairwise(views)]
@@ -162,7 +159,7 @@ class ArrivalTest:
 
     def depth_nll(self, observations: Sequence[Observation], goal: PreparedImage) -> float:
         """Negative log-likelihood of the depth differences between goal and observations, nats per observation."""
-        noise_m = max(_noise_m(observations), self.least_noise * size_m(goal.view.all_points_m))
+        noise_m = max(_noise_m(observations), self.least_noise * goal.view.diameter_m)
         motions = [x.motion for x in observations]
         near = [R_t for R_t in motions if self._is_near(R_t)] or [aligned(observations[0].image, goal.image)]
         motions = [R_t if self._is_near(R_t) else near[0] for R_t in motions]
@@ -171,23 +168,23 @@ class ArrivalTest:
         of_observations = [
             self._mean_square(x, [goal.view], [R_t], noise_m) for x, R_t in zip(observations, motions, strict=True)
         ]
-        returns = min(len(goal.view.all_points_m), self.max_returns)
+        returns = min(len(goal.view.points_m), self.max_returns)
         return float(returns * (of_goal + np.mean(of_observations)) / 2 / self.squares_per_nat)
 
     def _is_near(self, motion: Motion) -> bool:
         return float(so3.angle(motion[0])) <= self.near_rad
 
     def _mean_square(
-        self, image: PreparedImage, views: Sequence[View], motions: Sequence[Motion], noise_m: float
+        self, image: PreparedImage, views: Sequence[DepthView], motions: Sequence[Motion], noise_m: float
     ) -> float:
         """Mean over an image's returns of the squared depth difference to views, in variances; the largest value for
         returns that no view shows."""
         deviation_m = np.hypot(np.sqrt(2) * noise_m, self.misalignment_px * image.depth_step_m)
         total, count = np.zeros(len(image.points_m)), np.zeros(len(image.points_m))
         for view, (R, t_m) in zip(views, motions, strict=True):
-            dz_m, missed = view.compare(image.points_m @ R.T + t_m)
-            on = missed == 0
-            total[on] += np.minimum((dz_m[on] / deviation_m[on]) ** 2, self.max_deviations**2)
+            warped = view.warp((image.points_m @ R.T + t_m).T)
+            on = ~warped.silhouette_violation()
+            total[on] += np.minimum((warped.difference_m[on] / deviation_m[on]) ** 2, self.max_deviations**2)
             count += on
         return float(np.mean(np.where(count > 0, total / np.maximum(count, 1), self.max_deviations**2)))
 
@@ -208,24 +205,25 @@ class ArrivalTest:
 
     def _rotates_freely(self, image: PreparedImage, goal: PreparedImage, axis: Float[np.ndarray, "3"]) -> bool:
         """Whether the object, rotated about an axis either way, stays rotated in registration and scores as well."""
-        problem = pose(image.image, goal.image, None)
+        problem = build_problem(image.image, goal.image, None)
         R = so3.exp(np.array([[0.0], [self.free_rad], [-self.free_rad]]) * axis)
-        result = descend(problem, Hypotheses(R, problem.start(R)), COARSE, ALIGNMENT_POINTS)
-        score, rotation_rad = problem.agreement(result, self.tolerance, POINTS), so3.log(result.R) @ axis
+        result = refine(problem, problem.start(R), COARSE, ALIGNMENT_POINTS)
+        score, rotation_rad = problem.image_score(result, self.tolerance, POINTS), so3.log(result.R) @ axis
         stays = rotation_rad[1] - rotation_rad[2] >= self.free_rad
         return bool(stays and score[0] - score[1:].min() <= self.free_loss)
 
 
-def _inlier_ratio(view: View, other: View, motions: Sequence[Motion], tolerance_m: float) -> float:
+def _inlier_ratio(view: DepthView, other: DepthView, motions: Sequence[Motion], tolerance_m: float) -> float:
     """The inlier ratio of two views under the best of some motions."""
-    return max(weigh(view, other, R, t_m, tolerance_m).fit for R, t_m in motions)
+    return max(measure_evidence(view, other, R, t_m, tolerance_m, POINTS).inlier_ratio for R, t_m in motions)
 
 
 def _noise_m(observations: Sequence[Observation]) -> float:
     """Standard deviation of the depth of one image, from successive observations of one pose; 0 where none overlap."""
     deviations = []
     for one, other in pairwise(observations):
-        dz_m, missed = other.view.compare(one.points_m)
-        if np.any(missed == 0):
-            deviations.append(np.median(np.abs(dz_m[missed == 0])) / 0.6745 / np.sqrt(2))
+        warped = other.view.warp(one.points_m.T)
+        on = ~warped.silhouette_violation()
+        if on.any():
+            deviations.append(np.median(np.abs(warped.difference_m[on])) / 0.6745 / np.sqrt(2))
     return float(np.mean(deviations)) if deviations else 0.0

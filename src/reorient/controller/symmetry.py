@@ -16,10 +16,7 @@ from reorient.controller.arrival import (
     aligned,
 )
 from reorient.estimators.base import History
-from reorient.estimators.default import pose
-from reorient.registration.evidence import size_m
-from reorient.registration.normals import fit_planes
-from reorient.registration.refine import Hypotheses, descend
+from reorient.registration import build_problem, fit_planes, refine
 
 _QUARTER = np.pi / 2 * np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
 OTHER_SIDES = so3.exp(np.concatenate([2 * _QUARTER[::2], _QUARTER]))
@@ -62,10 +59,10 @@ class SymmetryTest:
 
         ``history``: earlier images, each with R_now_then.
         """
-        problem = pose(current.image, goal.image, None, history)
+        problem = build_problem(current.image, goal.image, None, history)
         R = np.concatenate([np.eye(3)[None], so3.exp(np.pi * dominant_axes(current))])
-        result = descend(problem, Hypotheses(R, problem.start(R)), COARSE, ALIGNMENT_POINTS)
-        score = problem.agreement(result, self.tolerance, POINTS)
+        result = refine(problem, problem.start(R), COARSE, ALIGNMENT_POINTS)
+        score = problem.image_score(result, self.tolerance, POINTS)
         return tuple(Flip(*x) for x in zip(result.R[1:], (score[0] - score[1:]).tolist(), strict=True))
 
     def symmetric(
@@ -94,7 +91,7 @@ class SymmetryTest:
         motion = aligned(one.image, other.image)
         if float(so3.angle(motion[0])) > self.near_rad:
             return False
-        tolerance_m = self.tolerance * size_m(reference[0].points_m)
+        tolerance_m = self.tolerance * reference[0].view.diameter_m
         still = np.eye(3), np.zeros(3)
         outliers, missing = np.subtract(
             _differences(one, other, motion, tolerance_m),
@@ -117,10 +114,12 @@ def _differences(
     R, t_m = motion
     shares = []
     for image, target, (R_to, t_to_m) in ((one, other, (R, t_m)), (other, one, (R.T, -R.T @ t_m))):
-        dz_m, missed = target.view.compare(image.points_m @ R_to.T + t_to_m)
-        outlier = (missed == 0) & (np.abs(dz_m) > np.hypot(tolerance_m, image.depth_step_m))
-        shares.append((outlier.mean(), (missed > 0).mean()))
-    return np.mean(shares, axis=0)
+        warped = target.view.warp((image.points_m @ R_to.T + t_to_m).T)
+        missing = warped.silhouette_violation()
+        outlier = ~missing & (np.abs(warped.difference_m) > np.hypot(tolerance_m, image.depth_step_m))
+        shares.append((outlier.mean(), missing.mean()))
+    mean: Float[np.ndarray, 2] = np.mean(shares, axis=0)
+    return mean
 
 
 def dominant_axes(image: PreparedImage) -> Float[np.ndarray, "3 3"]:
@@ -146,4 +145,5 @@ def _densest(directions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
     along = directions @ tried[np.argmax((np.abs(directions @ tried.T) > near).sum(axis=0))]
     chosen = np.abs(along) > near
     mean = (directions[chosen] * np.sign(along[chosen])[:, None]).mean(axis=0)
-    return mean / np.linalg.norm(mean)
+    axis: Float[np.ndarray, 3] = mean / np.linalg.norm(mean)
+    return axis
