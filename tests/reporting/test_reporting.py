@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from PIL import Image
 from rich.console import Console
 
-from reorient import Proportional, load_estimator, orient, so3
+from reorient import Algorithm1, load_estimator, orient, so3
 from reorient.controller import OrientResult
 from reorient.errors import ReorientError
 from reorient.experiments.evaluation import COLUMNS, Evaluation, regenerate
@@ -337,7 +337,7 @@ def loop() -> tuple[DepthImage, OrientResult, list[float]]:
     def follow(step: object) -> None:
         errors_deg.append(float(np.degrees(so3.angle_difference(R_goal, station.R_camera_object))))
 
-    return goal, orient(station, goal, load_estimator("gicp"), Proportional(4, 0.6), subscribers=[follow]), errors_deg
+    return goal, orient(station, goal, load_estimator("gicp"), Algorithm1(max_images=4, eta=0.6), subscribers=[follow]), errors_deg
 
 
 def test_loop_is_drawn(tmp_path, loop):

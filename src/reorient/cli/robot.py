@@ -95,7 +95,7 @@ class Demo:
             seen_deg = np.degrees(step.estimate.angle_rad)
             print(
                 f"image {step.index + 1:3d}: {seen_deg:6.2f} degrees to go by the images, {errors_deg[-1]:6.2f} truly. "
-                f"{step.said}"
+                f"{step.message}"
             )
             errors_deg.append(float(np.degrees(so3.angle_difference(R_goal, station.R_camera_object))))
 
@@ -122,7 +122,7 @@ class Orient:
     strategy: str = "auto"
     """'fusing', 'algorithm1' (the paper's), or 'auto': fusing where the estimator's confidence is calibrated, else, or
     with --eta or --delta-deg, algorithm1."""
-    max_steps: int | None = None
+    max_images: int | None = None
     """Largest number of images; default: the strategy's own."""
     eta: float | None = None
     """Algorithm 1: share of the predicted rotation to turn at once; default 0.2."""
@@ -150,7 +150,7 @@ class Orient:
         from reorient.runs.provenance import commit
         from reorient.stations.replay import RecordingStation
 
-        strategy = _strategy(self.strategy, self.max_steps, self.eta, self.delta_deg)
+        strategy = _strategy(self.strategy, self.max_images, self.eta, self.delta_deg)
         limits = Limits(np.radians(self.largest_step_deg), np.radians(self.largest_total_deg), dry_run=self.dry_run)
         if self.confirm_first_move:
             limits = replace(limits, confirm=_confirmed)
@@ -161,17 +161,24 @@ class Orient:
         if self.record is not None:
             about = {
                 "estimator": self.estimator,
-                "strategy": [self.strategy, self.max_steps, self.eta, self.delta_deg],
-                "largest_step_deg": self.largest_step_deg,
-                "largest_total_deg": self.largest_total_deg if np.isfinite(self.largest_total_deg) else None,
-                "dry_run": self.dry_run,
+                "strategy": {
+                    "strategy": self.strategy,
+                    "max_images": self.max_images,
+                    "eta": self.eta,
+                    "delta_deg": self.delta_deg,
+                },
+                "limits": {
+                    "max_step_deg": self.largest_step_deg,
+                    "max_rotation_deg": self.largest_total_deg,
+                    "dry_run": self.dry_run,
+                },
                 "station": self.choice.station,
                 "version": __version__,
                 "commit": commit(),
             }
             station = RecordingStation(station, self.record, goal, about)
         title = f"Station {self.choice.station}"
-        _close_loop(station, goal, estimator, strategy, self.max_steps, limits, self.out, title)
+        _close_loop(station, goal, estimator, strategy, limits, self.out, title)
 
 
 @dataclass(frozen=True)
@@ -194,14 +201,13 @@ class Replay:
 
         station = ReplayedStation(self.record)
         try:
-            estimator_name, (name, max_steps, eta, delta_deg) = station.record["estimator"], station.record["strategy"]
-            max_steps = None if max_steps is None else int(max_steps)
-            strategy = _strategy(str(name), max_steps, eta, delta_deg)
-            most_deg = station.record.get("largest_total_deg")  # older records do not say
+            estimator_name = station.record["estimator"]
+            strategy = _strategy(**station.record["strategy"])
+            limit = station.record["limits"]
             limits = Limits(
-                np.radians(station.record["largest_step_deg"]),
-                np.inf if most_deg is None else np.radians(most_deg),
-                dry_run=bool(station.record.get("dry_run")),
+                np.radians(limit["max_step_deg"]),
+                np.radians(limit["max_rotation_deg"]),
+                dry_run=limit["dry_run"],
                 wait_s=0.0,
             )
         except (KeyError, TypeError, ValueError) as error:
@@ -212,24 +218,23 @@ class Replay:
         if self.out is not None:
             make_folder(self.out)
         title = f"Record {self.record.name}"
-        _close_loop(station, station.goal(), estimator, strategy, max_steps, limits, self.out, title)
+        _close_loop(station, station.goal(), estimator, strategy, limits, self.out, title)
 
 
-def _strategy(name: str, max_steps: int | None, eta: float | None, delta_deg: float | None) -> "Strategy | None":
-    """The strategy of a command line; None: what suits the estimator. Settings of Algorithm 1 ask for it."""
-    from reorient.controller import Fusing, Proportional
-    from reorient.errors import unknown_name
+def _strategy(
+    strategy: str, max_images: int | None = None, eta: float | None = None, delta_deg: float | None = None
+) -> "Strategy | None":
+    """The strategy of a command line; None: the loop chooses. Settings of Algorithm 1 select it."""
+    from reorient.controller import load_strategy
 
-    if name not in ("auto", "fusing", "algorithm1"):
-        raise unknown_name("strategy", name, ["auto", "fusing", "algorithm1"])
-    given = {"eta": eta, "delta_rad": None if delta_deg is None else float(np.radians(delta_deg))}
-    given = {key: value for key, value in given.items() if value is not None}
-    if name == "auto" and not given:
-        return None
-    if name == "fusing" and given:
-        raise ReorientError("--eta and --delta-deg are Algorithm 1's: expected no --strategy fusing with them")
-    steps = {} if max_steps is None else {"max_steps": max_steps}
-    return Fusing(**steps) if name == "fusing" else Proportional(**steps, **given)  # type: ignore[arg-type]
+    delta_rad = None if delta_deg is None else float(np.radians(delta_deg))
+    given = {"max_images": max_images, "eta": eta, "delta_rad": delta_rad}
+    settings = {name: value for name, value in given.items() if value is not None}
+    if strategy != "auto":
+        return load_strategy(strategy, **settings)
+    if set(settings) == {"max_images"}:
+        raise ReorientError("--max-images is a setting of a strategy: expected --strategy with it")
+    return load_strategy("algorithm1", **settings) if settings else None
 
 
 def _confirmed(R_step: np.ndarray) -> bool:
@@ -251,7 +256,6 @@ def _close_loop(
     goal: "DepthImage",
     estimator: "Estimator",
     strategy: "Strategy | None",
-    max_steps: int | None,
     limits: "Limits",
     out: Path | None,
     title: str,
@@ -263,18 +267,17 @@ def _close_loop(
 
     def tell(step: Step) -> None:
         seen_deg = np.degrees(step.estimate.angle_rad)
-        print(f"image {step.index + 1:3d}: {seen_deg:6.2f} degrees to go. {step.said}", flush=True)
+        print(f"image {step.index + 1:3d}: {seen_deg:6.2f} degrees to go. {step.message}", flush=True)
 
-    suited = max_steps if strategy is None else None  # a strategy has its own number
-    result = orient(station, goal, estimator, strategy, subscribers=[tell], limits=limits, max_steps=suited)
+    result = orient(station, goal, estimator, strategy, limits=limits, subscribers=[tell])
     if isinstance(station, RecordingStation):
-        station.finish(result.reason, result.converged)
-    for fault in result.faults:
-        print(f"on the way: {fault}")
+        station.finish(result)
+    for error in result.errors:
+        print(f"on the way: {error}")
     if out is not None and result.steps:
         for path in write_loop(out, goal, result, [], title):
             print(path)
-    if limits.dry_run and result.steps and result.steps[-1].said:  # it has decided
+    if result.status == "dry_run":
         print(result.reason)
         return
     if not result.converged:

@@ -1,4 +1,4 @@
-"""Stations: a camera and a gripper, behind one interface."""
+"""Stations: a camera and a gripper behind one protocol, real, simulated or recorded."""
 
 from typing import cast
 
@@ -8,7 +8,8 @@ from reorient.plugins import make_own
 
 
 def load_station(name: str) -> Station:
-    """A user's own station, ``my_module:MyStation``: imported (the working folder included) and called with nothing.
+    """A user's own station, ``my_module:MyStation``: a class that is imported (also from the working folder) and made
+    without arguments.
 
     Raises ReorientError where it cannot be imported or lacks capture, rotate or pivot_m.
     """
