@@ -360,7 +360,7 @@ def test_loop_is_drawn(tmp_path, loop):
     start, middle, end = (decoded(stills)[-352:, left : left + 352] for left in (0, 357, 714))
     assert np.abs(end - middle).mean() < 0.7 * np.abs(start - middle).mean()
     assert "<title>A &lt;chair&gt;</title>" in html
-    assert "Ended without converging after 4 moves: limit of 4 images." in html
+    assert "Max images after 4 moves: limit of 4 images." in html
     assert f"The true remaining angle went from 40.00 to {errors_deg[-1]:.2f} degrees." in html
     assert html.count("<tr>") == 1 + 4
     seen_deg = np.degrees(result.steps[0].estimate.angle_rad)
@@ -380,7 +380,7 @@ def test_loop_refuses(tmp_path, loop):
     with pytest.raises(ReorientError, match="3 errors for 4 steps: expected one for each image, or none"):
         write_loop(tmp_path, goal, result, errors_deg[:3], "")
     with pytest.raises(ReorientError, match=r"without a step \(no camera\)"):
-        write_loop(tmp_path, goal, OrientResult((), False, "no camera"), [], "")
+        write_loop(tmp_path, goal, OrientResult((), "station_failed", "no camera"), [], "")
     with pytest.raises(ReorientError, match="existing folder"):
         write_loop(tmp_path / "gone", goal, result, errors_deg, "")
     assert not list(tmp_path.iterdir())

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, Self, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -106,10 +106,11 @@ class OrientResult:
         return sum(step.moves for step in self.steps)
 
 
-class Belief(Protocol):
+@runtime_checkable
+class AnyBelief(Protocol):
     """What a strategy infers from the steps; immutable."""
 
-    def updated(self, step: Step) -> Self:
+    def updated(self, step: Step) -> "AnyBelief":
         """The belief after one more step.
 
         The loop adds each step as soon as it is observed, without a move, and again, with the same index, as often as
@@ -144,7 +145,7 @@ class Strategy(Protocol):
         """Whether the estimator receives earlier images."""
         ...
 
-    def start(self, goal: DepthImage) -> Belief:
+    def start(self, goal: DepthImage) -> AnyBelief:
         """The belief before the first step."""
         ...
 

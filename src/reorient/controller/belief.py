@@ -62,7 +62,7 @@ class Belief:
         return self.viewpoints[-1]
 
     def updated(self, step: Step) -> "Belief":
-        """The belief after one more step, or after the move of the latest one became known (see ``base.Belief``)."""
+        """The belief after one more step, or after the move of the latest one became known (see ``AnyBelief``)."""
         if self.latest is not None and step.index == self.latest.index:
             return replace(self, latest=step)
         moved = self._moved() if self.latest is not None else self
