@@ -43,6 +43,19 @@ def test_views_add_up_along_known_motions(image):
     assert set(belief.hypotheses[0].probabilities) == {0, 1}
 
 
+def test_motions_compose_on_the_left(image):
+    """Three views of one goal after motions that do not commute are one hypothesis."""
+    R, steps = C, []
+    for k, move in enumerate((A, B, None)):
+        steps.append(Step(k, image, answer(R, 0.5), move, move))
+        R = R if move is None else R @ move.T
+    belief = folded(image, steps)
+    assert len(belief.hypotheses) == 1
+    np.testing.assert_allclose(belief.here.R_then_start, B @ A, atol=1e-12)
+    np.testing.assert_allclose(belief.R_goal_now(belief.hypotheses[0]), R, atol=1e-9)
+    assert belief.here.path_rad == pytest.approx(float(so3.angle(A) + so3.angle(B)))
+
+
 def test_an_unknown_motion_begins_a_new_chain(image):
     R = so3.exp(np.array([0.3, -1.0, 0.5]))
     belief = folded(image, two_steps(image, R, R_executed=None, error="refused"))
