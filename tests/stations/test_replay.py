@@ -195,5 +195,5 @@ def test_settings_of_earlier_records_are_read(tmp_path, station, most_deg):
     file.write_text(json.dumps(json.loads(file.read_text()) | earlier))
     record = ReplayedStation(tmp_path / "record").record
     assert record["strategy"] == {"strategy": "auto", "max_images": 20, "eta": None, "delta_deg": 0.5}
-    limits = {"max_step_deg": 180.0, "max_rotation_deg": most_deg or float("inf"), "dry_run": False}
+    limits = {"max_step_deg": 180.0, "max_rotation_deg": most_deg, "dry_run": False}
     assert record["limits"] == limits

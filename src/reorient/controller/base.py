@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from reorient.estimators.base import History, RotationEstimate
+from reorient.formatting import format_number
 from reorient.imaging import DepthImage
 
 Reachable = Callable[[Float[np.ndarray, "3 3"]], bool]
@@ -167,13 +168,6 @@ def history_of(steps: Sequence[Step]) -> History:
     return found[::-1]
 
 
-def percent(probability: float | None) -> str:
-    """A probability in words: 99.9% at most, as none is certain; "-" where it is unknown or not a number."""
-    if probability is None or np.isnan(probability):
-        return "-"
-    return f"{min(probability, 0.999):.1%}"
-
-
 def degrees(angle_rad: float, decimals: int = 0) -> str:
-    """An angle in words; "-" where it is not a number."""
-    return "-" if np.isnan(angle_rad) else f"{np.degrees(angle_rad):.{decimals}f} deg"
+    """An angle in words: 0.42 deg."""
+    return f"{format_number(float(np.degrees(angle_rad)), decimals)} deg"

@@ -16,9 +16,10 @@ from jaxtyping import Float
 
 from reorient import so3
 from reorient.controller.arrival import PreparedImage
-from reorient.controller.base import Decision, Reachable, Status, degrees, percent
+from reorient.controller.base import Decision, Reachable, Status, degrees
 from reorient.controller.belief import Belief
 from reorient.controller.situation import FusingSettings, Situation
+from reorient.formatting import format_number, format_probability
 from reorient.imaging import DepthImage
 
 
@@ -65,7 +66,7 @@ def compare(s: Situation) -> Decision | None:
     enough = s.images_left > s.settings.reserve + s.settings.captures
     if s.best is s.here and s.captures < s.settings.captures and enough:
         return Decision("near goal, a competing hypothesis is open: re-capturing to compare it later")
-    kind = "180-degree flip" if visit.guessed else f"competing ({percent(visit.support)})"
+    kind = "180-degree flip" if visit.guessed else f"competing ({format_probability(visit.support)})"
     message = f"checking {kind} hypothesis: rotating {degrees(s.angle_rad(visit))}"
     return Decision(message, s.belief.R_goal_now(visit))
 
@@ -87,7 +88,7 @@ def approach(s: Situation) -> Decision | None:
     elif best.visits:
         message = "returning to the best match"
     else:
-        message = f"approaching likeliest hypothesis ({percent(best.support)})"
+        message = f"approaching likeliest hypothesis ({format_probability(best.support)})"
     return Decision(f"{message}: rotating {angle}", s.belief.R_goal_now(best))
 
 
@@ -132,7 +133,7 @@ def done(s: Situation) -> Decision:
     estimate = here.observations[-1].estimate
     parts = [
         f"estimate {degrees(estimate.angle_rad, 2)}, {fused}: {status.replace('_', ' ')}",
-        f"confidence {percent(confidence)}",
+        *([] if status == "converged" else [f"confidence {format_probability(confidence)}"]),
         *([] if passed else ["no arrival test passed"]),
         *([f"the shape constrains one axis only to {degrees(weak_axis_rad, 1)}"] if weak_axis_rad else []),
         *([f"another orientation matches equally, {_SYMMETRY[s.symmetry[0]]}"] if s.equals else []),
@@ -178,4 +179,4 @@ class _Fused:
         return cls(R_goal_now, angle_rad, error_rad, settled)
 
     def __str__(self) -> str:
-        return f"fused {np.degrees(self.angle_rad):.2f} +- {degrees(self.error_rad, 2)}"
+        return f"fused {format_number(float(np.degrees(self.angle_rad)))} +- {degrees(self.error_rad, 2)}"

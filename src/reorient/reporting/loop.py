@@ -9,6 +9,7 @@ import numpy as np
 from reorient import so3
 from reorient.controller import OrientResult, Step
 from reorient.errors import ReorientError
+from reorient.formatting import format_number, format_share
 from reorient.imaging import DepthImage
 from reorient.registration.evidence import Evidence
 from reorient.reporting.figures import growing_curve, loop_curve
@@ -71,11 +72,12 @@ def outcome(result: OrientResult, errors_deg: Sequence[float]) -> str:
 
 def evidence_in_words(evidence: Evidence) -> str:
     """The evidence of an estimate, in one line."""
-    against = evidence.free_space_violation + evidence.silhouette_violation
-    line = f"{evidence.inlier_ratio:.0%} inliers"
-    if np.isfinite(evidence.residual_m):
-        line += f" (rms {1000 * evidence.residual_m:.1f} mm)"
-    line += f", {against:.0%} violations, {evidence.occluded:.0%} occluded"
+    violations = format_share(evidence.free_space_violation + evidence.silhouette_violation)
+    line = (
+        f"inliers {format_share(evidence.inlier_ratio)} ({format_share(evidence.covisible_inlier_ratio)} of co-visible "
+        f"points), violations {violations}, occluded {format_share(evidence.occluded)}, residual "
+        f"{format_number(1000 * evidence.residual_m, 1)} mm"
+    )
     return line if evidence.converged is not False else line + "; registration not converged"
 
 

@@ -187,15 +187,14 @@ def _as_list(R: Any) -> Any:
         return None
 
 
-def _present_form(record: dict[str, Any]) -> dict[str, Any]:
+def _present_form(record: Any) -> dict[str, Any]:
     """A record with the settings of its loop in their present form, where it has them in an earlier one."""
     if isinstance(record.get("strategy"), list):
         record["strategy"] = dict(zip(("strategy", "max_images", "eta", "delta_deg"), record["strategy"], strict=True))
     if "largest_step_deg" in record:
-        most_deg = record.get("largest_total_deg")
         record["limits"] = {
             "max_step_deg": record["largest_step_deg"],
-            "max_rotation_deg": float("inf") if most_deg is None else most_deg,
+            "max_rotation_deg": record.get("largest_total_deg"),
             "dry_run": bool(record.get("dry_run")),
         }
-    return record
+    return dict(record)
