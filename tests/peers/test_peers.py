@@ -4,10 +4,10 @@ import warnings
 
 import numpy as np
 import pytest
+from registration import Peer, Starts, optional
 
 import peers
 from peers import NEEDS, PEERS, Peers
-from registration import Peer, Starts, optional
 from reorient import so3
 from reorient.errors import ReorientError
 from reorient.experiments.evaluation import Evaluation

@@ -161,7 +161,7 @@ class ReplayedStation:
     def _act(self, kind: str, R_step: Float[np.ndarray, "3 3"] | None = None) -> dict[str, Any]:
         if self._next >= len(self._acts):
             raise StationError("the record ends here")
-        act = self._acts[self._next]
+        act: dict[str, Any] = self._acts[self._next]
         if kind not in act:
             raise StationError(f"the loop leaves the record at act {self._next}: {kind} requested")
         if R_step is not None:
