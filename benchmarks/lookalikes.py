@@ -120,7 +120,7 @@ def _lookalike(station: RenderedStation, mesh: trimesh.Trimesh) -> tuple[Float[n
             image = station.capture_goal()
             problem = build_problem(image, goal, None)
             aligned = refine(problem, problem.start(np.eye(3)[None]), TOLERANCES, 1500)
-            if float(so3.angle(aligned.R[0])) > TEST.near_rad:
+            if float(so3.angle(aligned.R[0])) > TEST.same_rad:
                 continue
             warped = DepthView(image).warp(((goal.points() - aligned.t_m[0]) @ aligned.R[0]).T)
             missing = warped.silhouette_violation()
@@ -154,7 +154,7 @@ def _compared(
         observed.append([Observation(x, estimator.estimate(x, goal.image, station.pivot_m)) for x in images])
     for count in config.captures:
         right, other = (x[:count] for x in observed)
-        if any(all(x.estimate.angle_rad > TEST.near_rad for x in pose) for pose in (right, other)):
+        if any(all(x.estimate.angle_rad > TEST.same_rad for x in pose) for pose in (right, other)):
             continue  # not an arrival: no estimate stays
         nats = count * (TEST.depth_nll(other, goal) - TEST.depth_nll(right, goal))
         yield count, nats, TEST.log_odds(right, goal) - TEST.log_odds(other, goal)

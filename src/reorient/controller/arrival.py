@@ -95,7 +95,19 @@ class Arrival:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ArrivalTest:
+class PoseSettings:
+    """When two poses are one, and how much the observations of one pose may weigh."""
+
+    near_rad: float = float(np.radians(8))
+    """Poses of the object nearer to each other than this are one. Loops of tuning objects (ed0cd77)."""
+    same_rad: float = float(np.radians(15))
+    """Estimated rotations nearer to each other than this are one. Loops of tuning objects (ed0cd77)."""
+    max_log_odds: float = 6.0
+    """Bound on the log-odds by inlier ratios, or by estimates that lead away, both ways. Not tuned."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArrivalTest(PoseSettings):
     """The settings of the arrival test; call it with the observations of one pose (two or more) and the goal."""
 
     window: int = 4
@@ -109,10 +121,6 @@ class ArrivalTest:
     """The same difference for one more unit of log-odds. Loops of tuning objects (ed0cd77)."""
     least_outliers: float = 0.05
     """Outlier ratio of two observations of one pose, at least, in this relation. Loops of tuning objects (03a703d)."""
-    max_log_odds: float = 6.0
-    """Bound on the log-odds of one pose, both ways. Not tuned."""
-    near_rad: float = float(np.radians(15))
-    """Estimates with a larger rotation are not of this pose; their motion is replaced. Not tuned."""
     max_deviations: float = 3.0
     """Bound on one depth difference, in standard deviations. 2 to 20 on 203 look-alikes (benchmarks/lookalikes.py)."""
     misalignment_px: float = 0.6
@@ -161,8 +169,8 @@ class ArrivalTest:
         """Negative log-likelihood of the depth differences between goal and observations, nats per observation."""
         noise_m = max(_noise_m(observations), self.least_noise * goal.view.diameter_m)
         motions = [x.motion for x in observations]
-        near = [R_t for R_t in motions if self._is_near(R_t)] or [aligned(observations[0].image, goal.image)]
-        motions = [R_t if self._is_near(R_t) else near[0] for R_t in motions]
+        stay = [R_t for R_t in motions if self._stays(R_t)] or [aligned(observations[0].image, goal.image)]
+        motions = [R_t if self._stays(R_t) else stay[0] for R_t in motions]
         inverse = [(R.T, -R.T @ t_m) for R, t_m in motions]
         of_goal = self._mean_square(goal, [x.view for x in observations], inverse, noise_m)
         of_observations = [
@@ -171,8 +179,8 @@ class ArrivalTest:
         returns = min(len(goal.view.points_m), self.max_returns)
         return float(returns * (of_goal + np.mean(of_observations)) / 2 / self.squares_per_nat)
 
-    def _is_near(self, motion: Motion) -> bool:
-        return float(so3.angle(motion[0])) <= self.near_rad
+    def _stays(self, motion: Motion) -> bool:
+        return float(so3.angle(motion[0])) <= self.same_rad
 
     def _mean_square(
         self, image: PreparedImage, views: Sequence[DepthView], motions: Sequence[Motion], noise_m: float

@@ -16,7 +16,6 @@ from reorient import so3
 from reorient.controller.arrival import Observation, PreparedImage
 from reorient.controller.base import Step
 from reorient.controller.hypotheses import (
-    SAME_RAD,
     BeliefSettings,
     Hypothesis,
     Viewpoint,
@@ -79,7 +78,7 @@ class Belief:
             return replace(self, moves_before=moves)
         then, hidden = self.here, self.hidden
         if step.undone and step.R_step is not None:
-            radius_rad = min(SAME_RAD, float(so3.angle(step.R_step)) / 2)
+            radius_rad = min(self.settings.same_rad, float(so3.angle(step.R_step)) / 2)
             hidden += (Hidden(step.R_step @ then.R_then_start, radius_rad),)
         path_rad = then.path_rad + float(so3.angle(step.R_executed))
         new = Viewpoint((), step.R_executed @ then.R_then_start, path_rad)
@@ -136,7 +135,7 @@ class Belief:
             R_goal_then = hypothesis.R_goal_start @ viewpoint.R_then_start.T
             for observation in reversed(viewpoint.observations):
                 answer, away_rad = nearest(observation.estimate, R_goal_then)
-                if float(so3.angle(answer)) <= s.near_rad and away_rad <= SAME_RAD:
+                if float(so3.angle(answer)) <= s.near_rad and away_rad <= s.same_rad:
                     found.append(answer @ viewpoint.R_then_start @ self.here.R_then_start.T)
                     since_rad.append(self.here.path_rad - viewpoint.path_rad)
         if not found:

@@ -152,7 +152,7 @@ def _confidence(s: Situation, angle_rad: float, passed: bool) -> float:
     """Probability that the present pose is within 5 degrees of the goal: by the pose's log-odds, shared with all that
     match equally unless these are one by symmetry, and by the remaining rotation."""
     assert s.best is not None
-    log_odds = s.belief.here.log_odds
+    log_odds = s.belief.here.log_odds(s.belief.settings)
     if not passed:
         log_odds = min(log_odds, s.best.arrival_log_odds)
     shared = 1 if not s.equals or s.symmetry[0] else 1 + len(s.equals)

@@ -14,30 +14,24 @@ import numpy as np
 from jaxtyping import Float
 
 from reorient import so3
-from reorient.controller.arrival import Arrival, ArrivalTest, Observation, PreparedImage
+from reorient.controller.arrival import Arrival, ArrivalTest, Observation, PoseSettings, PreparedImage
 from reorient.controller.symmetry import Flip, SymmetryTest
 from reorient.estimators.base import RotationEstimate
 
 LEAST_PROBABILITY = 0.02
 """Of a rotation by one estimate. Not tuned."""
-SAME_RAD = float(np.radians(15))
-"""Rotations nearer to each other than this are one hypothesis. Loops of tuning objects (ed0cd77)."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class BeliefSettings:
+class BeliefSettings(PoseSettings):
     """How observations become hypotheses and their log-odds."""
 
     arrival_test: Callable[[Sequence[Observation], PreparedImage], Arrival] = field(default_factory=ArrivalTest)
     symmetry_test: SymmetryTest = field(default_factory=SymmetryTest)
-    near_rad: float = float(np.radians(8))
-    """A viewpoint whose remaining rotation is at most this is at the hypothesis. Loops of tuning objects (ed0cd77)."""
     new_view_rad: float = float(np.radians(10))
     """Viewpoints nearer to each other than this show the same and err alike; they count once. Not tuned."""
     unnamed: float = 0.1
     """Share of the probability that an estimate leaves which each hypothesis gets that it does not name. Not tuned."""
-    rejected: float = -6.0
-    """Log-odds of a hypothesis from whose pose all estimates lead away. Not tuned."""
     views_against: float = -4.0
     """Least log-odds by viewpoints elsewhere, as these err alike. Loops of tuning objects (61a9af1)."""
     views_against_tested: float = -1.0
@@ -64,10 +58,10 @@ class Viewpoint:
     flips: tuple[Flip, ...] = ()
     """With an arrival test: the flips of this pose, unless an earlier viewpoint has them."""
 
-    @property
-    def log_odds(self) -> float:
+    def log_odds(self, settings: BeliefSettings) -> float:
         """That this pose is the goal pose: by the estimates' own confidence, and by the arrival test."""
-        own = np.clip(np.mean([_confidence_here(x.estimate) for x in self.observations]), LEAST_PROBABILITY, 0.99)
+        own = np.mean([_confidence_here(x.estimate, settings.same_rad) for x in self.observations])
+        own = np.clip(own, LEAST_PROBABILITY, 0.99)
         return float(np.log(own / (1 - own))) + (self.arrival.log_odds if self.arrival else 0.0)
 
 
@@ -124,10 +118,10 @@ def nearest(estimate: RotationEstimate, R: Float[np.ndarray, "3 3"]) -> tuple[Fl
     return named[np.argmin(away)], float(away.min())
 
 
-def _confidence_here(estimate: RotationEstimate) -> float:
+def _confidence_here(estimate: RotationEstimate, same_rad: float) -> float:
     """The confidence of an estimate if its answer is to stay, or if staying is as likely; else less."""
     named = answers(estimate)
-    here = max((p for R, p in named if float(so3.angle(R)) <= SAME_RAD), default=0.0)
+    here = max((p for R, p in named if float(so3.angle(R)) <= same_rad), default=0.0)
     whole = named[0][1] if estimate.confidence is None else estimate.confidence
     return whole * min(1.0, here / max(named[0][1], 1e-9))  # the likeliest answer may lead away
 
@@ -149,7 +143,7 @@ def same_view(one: Viewpoint, other: Viewpoint, settings: BeliefSettings) -> boo
 
 def hypotheses_of(viewpoints: Sequence[Viewpoint], settings: BeliefSettings) -> tuple[Hypothesis, ...]:
     """All orientations that estimates name or flips of arrivals suggest, the likeliest first."""
-    found, views = _clusters(viewpoints), _views(viewpoints, settings)
+    found, views = _clusters(viewpoints, settings), _views(viewpoints, settings)
     view_log_odds = [sum(_log_probability(x, viewpoints, view, settings) for view in views) for x in found]
     largest = max(view_log_odds)
     weighed = [
@@ -160,7 +154,7 @@ def hypotheses_of(viewpoints: Sequence[Viewpoint], settings: BeliefSettings) -> 
     return tuple(sorted([*compared, *untested], key=lambda x: (-x.log_odds, -x.view_log_odds)))
 
 
-def _clusters(viewpoints: Sequence[Viewpoint]) -> list[Hypothesis]:
+def _clusters(viewpoints: Sequence[Viewpoint], settings: BeliefSettings) -> list[Hypothesis]:
     """The hypotheses without their log-odds; the latest estimates first, which have drifted least."""
     centres: list[Float[np.ndarray, "3 3"]] = []
     named: list[dict[int, list[float]]] = []
@@ -168,7 +162,7 @@ def _clusters(viewpoints: Sequence[Viewpoint]) -> list[Hypothesis]:
 
     def cluster(R_goal_start: Float[np.ndarray, "3 3"]) -> int:
         away_rad = [float(so3.angle_difference(centre, R_goal_start)) for centre in centres]
-        if away_rad and min(away_rad) <= SAME_RAD:
+        if away_rad and min(away_rad) <= settings.same_rad:
             return int(np.argmin(away_rad))
         centres.append(R_goal_start)
         named.append({})
@@ -239,8 +233,8 @@ def _log_odds_at(there: Sequence[Viewpoint], settings: BeliefSettings) -> float:
     """What the viewpoints at a hypothesis add to its log-odds: the mean of those with an arrival test, as they err
     alike; a rejection where no estimate stays."""
     if tested := [x for x in there if x.arrival is not None]:
-        return float(np.average([x.log_odds for x in tested], weights=[len(x.observations) for x in tested]))
-    return settings.rejected if any(not stays(x, settings) for x in there) else 0.0
+        return float(np.average([x.log_odds(settings) for x in tested], weights=[len(x.observations) for x in tested]))
+    return -settings.max_log_odds if any(not stays(x, settings) for x in there) else 0.0
 
 
 def _compared(

@@ -180,7 +180,7 @@ class Situation:
 
     def _is_sure(self, best: Hypothesis, there: list[Viewpoint]) -> bool:
         """Whether the arrivals at the best hypothesis, or they and estimates from elsewhere, leave no doubt."""
-        log_odds = np.mean([x.log_odds for x in there])
+        log_odds = np.mean([x.log_odds(self.belief.settings) for x in there])
         if log_odds >= self.settings.sure_arrival:
             return True
         away = [k for k, x in enumerate(self.belief.viewpoints) if not at(best, x, self.belief.settings)]

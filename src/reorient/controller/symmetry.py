@@ -12,6 +12,7 @@ from reorient.controller.arrival import (
     COARSE,
     POINTS,
     Motion,
+    PoseSettings,
     PreparedImage,
     aligned,
 )
@@ -37,15 +38,11 @@ class Flip:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SymmetryTest:
+class SymmetryTest(PoseSettings):
     """The settings of flip hypotheses and of the symmetry test."""
 
     tolerance: float = 0.012
     """Largest depth difference of an inlier, relative to the object diameter. Loops of tuning objects (ed0cd77)."""
-    near_rad: float = float(np.radians(15))
-    """Largest rotation between two images of one view. Not tuned."""
-    pose_rad: float = float(np.radians(8))
-    """Two poses of the object nearer to each other than this are one. Loops of tuning objects (ed0cd77)."""
     max_extra_outliers: float = 0.03
     """Share of returns with a large depth difference by which two images of one view may exceed two observations of one
     pose. 29 symmetric generated objects and 63 look-alikes (1ab385c): it accepts 22 of the former, 10 of the latter."""
@@ -80,7 +77,7 @@ class SymmetryTest:
         elsewhere = [(image, R) for image, R in views if _view_angle_rad(R, S) >= self.elsewhere_rad]
         for image, R in elsewhere:
             for other, R_other in views:
-                if other is not image and float(so3.angle(R_other.T @ R @ S)) <= self.pose_rad:
+                if other is not image and float(so3.angle(R_other.T @ R @ S)) <= self.near_rad:
                     return self.same_view(image, other, here), np.eye(3)
         if elsewhere:
             return None, max((R for _, R in elsewhere), key=lambda R: _view_angle_rad(R, S)) @ S
@@ -89,7 +86,7 @@ class SymmetryTest:
     def same_view(self, one: PreparedImage, other: PreparedImage, reference: Sequence[PreparedImage]) -> bool:
         """Whether two images show the same view of an object, nearly as well as two reference images of one pose."""
         motion = aligned(one.image, other.image)
-        if float(so3.angle(motion[0])) > self.near_rad:
+        if float(so3.angle(motion[0])) > self.same_rad:
             return False
         tolerance_m = self.tolerance * reference[0].view.diameter_m
         still = np.eye(3), np.zeros(3)
