@@ -17,9 +17,9 @@ def test_a_probability_is_never_certain(probability, text):
 
 
 @pytest.mark.parametrize(
-    ("share", "text"), [(0.304, "30%"), (0.86, "86%"), (0.9989, "99%"), (0.995, "99%"), (1.0, "100%"), (0.0, "0%")]
+    ("share", "text"), [(0.304, "30%"), (0.86, "86%"), (0.9989, ">99%"), (0.994, "99%"), (0.002, "<1%"), (1.0, "100%"), (0.0, "0%")]
 )
-def test_a_share_is_100_percent_only_where_it_is_all(share, text):
+def test_a_share_is_0_or_100_percent_only_where_it_is_none_or_all(share, text):
     assert format_share(share) == text
 
 
