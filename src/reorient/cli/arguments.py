@@ -54,11 +54,14 @@ _LARGEST_WIDTH = 110  # of the help, characters
 def parse(config: type[T], program: str, arguments: Sequence[str]) -> T:
     """An object of the dataclass. Raises ReorientError for a bad command line; ``--help`` prints and exits with 0."""
     parser = make_parser(config, program)
+    if {"-h", "--help"} & set(arguments):
+        print(parser.format_help(), end="")  # argparse's own printing hides a closed pipe
+        raise SystemExit(0)
     words = [f" {word}" if _is_negative(word) else word for word in arguments]  # not an option to argparse: -1e-3
     given, extra = parser.parse_known_intermixed_args(words)
     if extra:
         parser.error(_unexpected(extra[0].strip(), arguments, [option.flag for option in _flat(config)]))
-    built: T = _build(config, vars(given))
+    built: T = _build(config, {name: value for name, value in vars(given).items() if value is not None})
     return built
 
 
@@ -145,7 +148,7 @@ class _Option:
             args = get_args(self.kind)
             keywords["nargs"] = "+" if args[-1] is Ellipsis else len(args)
         if self.positional:
-            optional = {} if self.default is MISSING else {"nargs": "?"}
+            optional = {} if self.default is MISSING else {"nargs": "?", "default": None}
             group.add_argument(self.name, **keywords | optional)
         else:
             group.add_argument(self.flag, dest=self.name, required=self.default is MISSING, **keywords)
