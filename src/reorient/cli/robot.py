@@ -198,7 +198,7 @@ def _close_loop(
 
     result = orient(station, goal, estimator, strategy, limits=limits, subscribers=[show])
     if isinstance(station, RecordingStation):
-        station.finish(result.reason, result.converged)
+        station.finish(result)
     code = print_outcome(result)
     if out is not None and result.steps:
         for path in write_loop(out, goal, result, [], title):
