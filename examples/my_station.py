@@ -22,9 +22,9 @@ class TurntableStation:
     """One vertical axis."""
 
     def __init__(self, start_deg: float = 25.0) -> None:
-        objects = generated(1)
+        objects = generated(5)
         sensor, rng = randomised(noise_m=0.001), np.random.default_rng(0)
-        self._cell = RenderedStation(objects.load(objects.names[0]), load_world("benchmark"), sensor, rng)
+        self._cell = RenderedStation(objects.load(objects.names[4]), load_world("benchmark"), sensor, rng)
         self._cell.rotate(about_vertical(np.radians(start_deg)))
 
     @property

@@ -89,7 +89,7 @@ def test_an_estimate_in_words():
     sure = RotationEstimate(R, np.array([0.1, 0, -0.02]), evidence, 0.9989, ((flipped, 0.123),))
     assert in_words(sure).splitlines() == [
         "rotation      42.30 deg about [0.0000 1.0000 0.0000] (camera axes)",
-        "quaternion    [0.932639 0.000000 0.360810 0.000000] (wxyz)",
+        "quaternion    [0.932639 0.000000 0.360811 0.000000] (wxyz)",
         "matrix         0.739631  0.000000  0.673013",
         "               0.000000  1.000000  0.000000",
         "              -0.673013  0.000000  0.739631",

@@ -1,4 +1,4 @@
-"""The verb estimate: the rotation between two image files, and how their frames are read."""
+"""The verb estimate, the options that isolate an object, and the text of an estimate."""
 
 import json
 from dataclasses import asdict, dataclass, field
@@ -150,7 +150,7 @@ def in_words(estimate: "RotationEstimate") -> str:
     lines = [
         f"rotation      {_rotation(estimate.R_goal_current)} (camera axes)",
         f"quaternion    {_vector(estimate.quat_wxyz, 6)} (wxyz)",
-        *(f"{'' if i else 'matrix':13s} {' '.join(f'{x:9.6f}' for x in row)}" for i, row in enumerate(rows)),
+        *(f"{'' if i else 'matrix':13s} {' '.join(f'{x:z9.6f}' for x in row)}" for i, row in enumerate(rows)),
         f"translation   {_vector(estimate.t_goal_current_m, 4)} m",
         f"confidence    {confidence_in_words(estimate.confidence)}",
         f"inliers       {inliers_in_words(evidence)}, residual {format_number(1000 * evidence.residual_m)} mm",
@@ -183,4 +183,4 @@ def _rotation(R: np.ndarray) -> str:
 
 
 def _vector(values: np.ndarray, decimals: int) -> str:
-    return f"[{' '.join(f'{x:.{decimals}f}' for x in values)}]"
+    return f"[{' '.join(f'{x:z.{decimals}f}' for x in values)}]"
