@@ -13,6 +13,7 @@ from reorient.cli import main
 from reorient.cli.arguments import make_parser, parse
 from reorient.cli.verbs import GROUPS, VERBS
 from reorient.errors import ReorientError
+from reorient.estimators import NAMES
 
 
 def run(capsys, *words: str) -> tuple[int, str, str]:
@@ -132,3 +133,10 @@ def test_errors_of_a_verb_are_one_line(error, code, message, capsys, monkeypatch
 
     monkeypatch.setattr("reorient.cli.parse", fail)
     assert run(capsys, "estimate", "a", "b") == (code, "", message)
+
+
+@pytest.mark.parametrize("verb", ["estimate", "orient", "demo"])
+def test_the_help_lists_every_estimator(verb):
+    text = options_of(verb)["--estimator"]
+    for name in set(NAMES) - {"default"}:  # an alias
+        assert re.search(rf"\b{name}\b", text), name

@@ -24,7 +24,7 @@ T = TypeVar("T")
 class Frames:
     """Reading and isolation of the images.
 
-    One value is for both images, two are for CURRENT and GOAL; '-' is none, as in --near 0.3 -
+    One value is for both images, two are for CURRENT and GOAL. The value '-' is none: "--near 0.3 -" limits CURRENT.
     """
 
     camera: Annotated[tuple[str, ...], Metavar("PATH")] = ()
@@ -95,8 +95,8 @@ class Estimate:
     goal: Positional[Path]
     """Depth image of the object as it should be."""
     frames: Frames = field(default_factory=Frames)
-    estimator: str = "default"
-    """Name of the estimator, an .onnx file, or a class of your own as module:Class."""
+    estimator: str = "rotation-search"
+    """One of rotation-search, fast, thorough, gicp, icp, swift and paper, an .onnx file, or your own module:Class."""
     pivot: Annotated[tuple[float, float, float] | None, Metavar(("X", "Y", "Z"))] = None
     """Rotation centre in camera axes, in metres, if known to about 1 cm."""
     json: bool = False
