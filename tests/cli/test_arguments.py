@@ -23,6 +23,8 @@ class Inner:
     """Ranges of angles."""
     count: int = 5
     """Number of things, 50% of all."""
+    seed: int = 0
+    """Seed of it."""
 
     def __post_init__(self) -> None:
         if self.count < 1:
@@ -100,7 +102,7 @@ def test_options_change_a_preset(words, recipe):
     [
         ("", "the following arguments are required: SOURCE"),
         ("a --pivot-m 1 2", "argument --pivot-m: expected 3 arguments"),
-        ("a --pivot-m 1 2 3 4", "unexpected argument '4' after the values of --pivot-m"),
+        ("a --pivot-m 1 2 3 4", "unexpected argument '4' after --pivot-m"),
         ("a --pivot-m 1 2 x", "argument --pivot-m: expected a number, not 'x'"),
         ("a --count 1.5", "argument --count: expected a whole number, not '1.5'"),
         ("a --count -1.5", "argument --count: expected a whole number, not '-1.5'"),
@@ -112,7 +114,8 @@ def test_options_change_a_preset(words, recipe):
         ("a --coun 3", "unknown option '--coun': did you mean '--count'?"),  # no abbreviations
         ("a --zzz=3", "unknown option '--zzz' (see program --help)"),
         ("a b", "unexpected argument 'b' (see program --help)"),
-        ("a --quick b", "unexpected argument 'b'"),
+        ("a --quick b", "unexpected argument 'b' after --quick"),
+        ("a -3", "unexpected argument '-3'"),
         ("a --count 0", "expected at least one thing"),
     ],
 )
@@ -136,6 +139,7 @@ def test_help_has_words_units_defaults_and_examples(monkeypatch):
         "Depth noise. (default: 0 1)",
         "--ranges-deg DEG [DEG ...]",
         "Number of things, 50% of all. (default: 5)",
+        "Seed of it. (default: 0)",
         "examples:\n  program in.txt --pivot 1 2 3",
     ):
         assert part in text, text

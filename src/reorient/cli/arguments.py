@@ -60,7 +60,7 @@ def parse(config: type[T], program: str, arguments: Sequence[str]) -> T:
     words = [f" {word}" if _is_negative(word) else word for word in arguments]  # not an option to argparse: -1e-3
     given, extra = parser.parse_known_intermixed_args(words)
     if extra:
-        parser.error(_unexpected(extra[0].strip(), arguments, [option.flag for option in _flat(config)]))
+        parser.error(_unexpected(extra[0], words, [option.flag for option in _flat(config)]))
     built: T = _build(config, {name: value for name, value in vars(given).items() if value is not None})
     return built
 
@@ -167,7 +167,7 @@ class _Option:
     def help(self) -> str:
         """The text below the field, and the default."""
         text = self.text.replace("``", "'")
-        if self.default in (MISSING, None, False, ()):
+        if self.default is MISSING or self.default is None or self.default is False or self.default == ():
             return text
         values = self.default if isinstance(self.default, tuple) else (self.default,)
         flat = [x for value in values for x in (value if isinstance(value, tuple) else (value,))]
@@ -257,13 +257,13 @@ def _converter(kind: Any) -> Callable[[str], Any]:
     return convert
 
 
-def _unexpected(word: str, arguments: Sequence[str], known: list[str]) -> str:
+def _unexpected(word: str, words: list[str], known: list[str]) -> str:
     """The message for a word that the parser could not place."""
     if word.startswith("-"):
         name = word.partition("=")[0]
         return f"unknown option {name!r}{did_you_mean(name, known)}"
-    before = [each for each in arguments[: arguments.index(word)] if each.startswith("--")]
-    return f"unexpected argument {word!r}" + (f" after the values of {before[-1]}" if before else "")
+    before = [each for each in words[: words.index(word)] if each.startswith("--")]
+    return f"unexpected argument {word.strip()!r}" + (f" after {before[-1]}" if before else "")
 
 
 def did_you_mean(name: str, known: Sequence[str]) -> str:
