@@ -134,7 +134,7 @@ def test_help_has_words_units_defaults_and_examples(monkeypatch):
         "Point in space.\n",
         "--part {all,none}",
         "Part to do. (default: all)",
-        "Inner settings:\n  One sentence more.\n",
+        "inner settings:\n  One sentence more.\n",
         "--noise-mm MM [MM ...]",
         "Depth noise. (default: 0 1)",
         "--ranges-deg DEG [DEG ...]",

@@ -85,7 +85,8 @@ def make_parser(config: type, program: str) -> argparse.ArgumentParser:
     for option in _flat(config):
         if option.group not in groups:
             title, _, description = option.group.partition("\n\n")
-            groups[option.group] = parser.add_argument_group(title.rstrip("."), " ".join(description.split()) or None)
+            title = title[0].lower() + title[1:].rstrip(".")
+            groups[option.group] = parser.add_argument_group(title, " ".join(description.split()) or None)
         option.add_to(positionals if option.positional else groups[option.group])
     options.add_argument("-h", "--help", action="help", help="Show this help and exit.")
     return parser

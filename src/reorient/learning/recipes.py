@@ -21,7 +21,7 @@ class Training:
     """Network: the paper's siamese ResNet-9, or swift, which takes both images at once."""
     loss: LossName = "hybrid"
     """Loss: mean, shapematch, hybrid (mean in the first epoch, then shapematch) or chord (mean in the first epoch, then
-    the quaternion distance). A warm start omits the first part."""
+    the quaternion distance). A warm start omits that epoch."""
     epochs: int = 100
     """Largest number of epochs, which the patience may shorten."""
     batch: int = 64
