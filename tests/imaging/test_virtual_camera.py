@@ -16,9 +16,9 @@ from reorient.imaging.virtual_camera import (
     join,
     network_input,
     outline,
+    pivot_guess,
+    rotated,
     slide,
-    turned,
-    turning_points,
 )
 from reorient.world.rendering import Placement, Renderer
 
@@ -170,14 +170,14 @@ class TestTurned:
 
     def test_by_the_truth_it_looks_like_the_goal(self, pair):
         virtual, (current_m, goal_m), R, pivot_m = pair
-        seen_m = turned(current_m[None], virtual.tangent, R, pivot_m, pivot_m)[0]
-        inverse_m = turned(current_m[None], virtual.tangent, np.swapaxes(R, 1, 2), pivot_m, pivot_m)[0]
+        seen_m = rotated(current_m[None], virtual.tangent, R, pivot_m, pivot_m)[0]
+        inverse_m = rotated(current_m[None], virtual.tangent, np.swapaxes(R, 1, 2), pivot_m, pivot_m)[0]
         assert self.agreement(seen_m, goal_m) > 0.75 > 0.5 > self.agreement(current_m, goal_m)
         assert self.agreement(inverse_m, goal_m) < 0.4
 
     def test_by_nothing_it_stays(self, pair):
         virtual, (current_m, _), _, pivot_m = pair
-        seen_m = turned(current_m[None], virtual.tangent, np.eye(3)[None], pivot_m, pivot_m)[0]
+        seen_m = rotated(current_m[None], virtual.tangent, np.eye(3)[None], pivot_m, pivot_m)[0]
         assert self.agreement(seen_m, current_m) > 0.98
 
     def test_the_nearest_of_coinciding_points_shows(self):
@@ -185,13 +185,13 @@ class TestTurned:
         view_m[0, 64, 64], view_m[0, 64, 100] = 0.5, 0.6
         quarter = so3.exp(np.array([[0.0, np.pi / 2, 0.0]]))
         middle = np.array([[0.0, 0.0, 0.55]])
-        seen_m = turned(view_m, np.array([0.2]), quarter, middle, middle)
+        seen_m = rotated(view_m, np.array([0.2]), quarter, middle, middle)
         assert np.count_nonzero(seen_m) in (1, 2)
         assert seen_m.max() < 0.7
 
-    def test_guessed_turning_points_are_near_the_pivot(self, pair):
+    def test_guessed_pivot_guess_are_near_the_pivot(self, pair):
         virtual, views_m, _, pivot_m = pair
-        guesses_m = turning_points(np.stack(views_m), np.repeat(virtual.tangent, 2))
+        guesses_m = pivot_guess(np.stack(views_m), np.repeat(virtual.tangent, 2))
         assert np.linalg.norm(guesses_m - pivot_m, axis=1).max() < 0.04
 
 

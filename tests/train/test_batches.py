@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from reorient import so3
-from reorient.imaging.virtual_camera import turned
+from reorient.imaging.virtual_camera import rotated
 from reorient.learning.batches import Augmentation, Batches, prepare
 from reorient.learning.pair_store import PairReader
 
@@ -29,7 +29,7 @@ def test_labels_turn_the_start_into_the_goal(small_set, augmentation):
     middle = np.array([0.0, 0.0, 9.0])[None].repeat(len(depth), 0)
 
     def misfit(R):
-        seen = turned(depth[:, 0], tangent, R, middle, middle)
+        seen = rotated(depth[:, 0], tangent, R, middle, middle)
         return np.mean((seen > 0) != (depth[:, 1] > 0), axis=(1, 2))
 
     stays, by_label, by_inverse = (misfit(x) for x in (np.eye(3)[None] + 0 * R[far], R[far], np.swapaxes(R[far], 1, 2)))

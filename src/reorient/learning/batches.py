@@ -20,8 +20,8 @@ from reorient.imaging.virtual_camera import (
     join,
     network_input,
     outline,
-    turned,
-    turning_points,
+    pivot_guess,
+    rotated,
 )
 from reorient.learning.pair_store import Batch, PairReader
 
@@ -72,11 +72,11 @@ def prepare(
         done = np.swapaxes(left, 1, 2) @ R_goal_current[chosen]
         part = VirtualCamera(virtual.R_virtual_camera[chosen], virtual.tangent[chosen])
         start, goal = views[chosen, 0], views[chosen, 1]
-        start_center, goal_center = turning_points(start, part.tangent), turning_points(goal, part.tangent)
+        start_center, goal_center = pivot_guess(start, part.tangent), pivot_guess(goal, part.tangent)
         known = rng.random(len(chosen)) < 0.5
         pivot = np.einsum("nij,nj->ni", part.R_virtual_camera, batch.pivot_m[chosen]) / reader.quantum_m
         start_center[known], goal_center[known] = pivot[known], pivot[known]
-        views[chosen, 0] = turned(start, part.tangent, done, start_center, goal_center)
+        views[chosen, 0] = rotated(start, part.tangent, done, start_center, goal_center)
         R_goal_current[chosen] = left
     images = network_input(views, virtual.tangent)
     quat_wxyz = so3.quat_from_matrix(R_goal_current)

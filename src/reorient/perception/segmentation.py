@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 from reorient import se3
 from reorient.errors import ReorientError
 from reorient.imaging import Camera, DepthImage
+from reorient.imaging.splatting import splat
 from reorient.perception.calibration import Calibration, MountedCamera
 from reorient.perception.colour import ColourRange, ColourTable
 from reorient.world.rendering import Placement, Renderer
@@ -180,12 +181,13 @@ def align(frame: Frame, calibration: Calibration) -> tuple[UInt8[np.ndarray, "h 
     camera = frame.color.camera
     rgb = ndimage.gaussian_filter(frame.color.rgb, (_BLUR_PX, _BLUR_PX, 0))  # dark pixels have no hue but their noise
     points_m = se3.apply(calibration.color.T_camera_world @ calibration.depth.T_world_camera, frame.depth.points())
+    uv_px = camera.project(points_m)
+    nearest_m = splat(uv_px, points_m[:, 2], rgb.shape[:2])
+    nearest_m[nearest_m == 0] = np.inf
+    columns, rows = uv_px.T
     with np.errstate(invalid="ignore"):
-        columns, rows = np.floor(camera.project(points_m)).T
         seen = (columns >= 0) & (columns < camera.width) & (rows >= 0) & (rows < camera.height)
     columns, rows = (np.where(seen, line, 0).astype(int) for line in (columns, rows))
-    nearest_m = np.full(rgb.shape[:2], np.inf)
-    np.minimum.at(nearest_m, (rows[seen], columns[seen]), points_m[seen, 2])
     nearest_m = ndimage.minimum_filter(nearest_m, 3)  # returns may lie sparser than the colour camera's pixels
     seen &= points_m[:, 2] < nearest_m[rows, columns] + _HIDDEN_M
     aligned, known = np.zeros((*frame.depth.depth_m.shape, 3), np.uint8), frame.depth.valid
