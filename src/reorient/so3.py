@@ -11,7 +11,7 @@ same rotation. Angles are radians. Batch dimensions lead, and broadcast.
 """
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy.random import Generator
 from scipy.spatial.transform import Rotation
 
@@ -180,3 +180,27 @@ def grid(n: int) -> Float[np.ndarray, "{n} 3 3"]:
     alpha, beta = 2 * np.pi * s / phi, 2 * np.pi * s / psi
     quat_wxyz = np.stack([R * np.cos(beta), r * np.sin(alpha), r * np.cos(alpha), R * np.sin(beta)], axis=-1)
     return matrix_from_quat(quat_wxyz)
+
+
+# --- sets of rotations ----------------------------------------------------------------------------------------------
+
+
+def non_maximum_suppression(
+    R: Float[np.ndarray, "k 3 3"], score: Float[np.ndarray, " k"], radius_rad: float, most: int | None = None
+) -> Int[np.ndarray, " n"]:
+    """Indices of the rotations of the highest score, best first, that are farther apart than ``radius_rad``.
+
+    ``most``: at most so many; None: all. Of rotations within the radius of each other the one of higher score is kept,
+    of equal scores the first.
+    """
+    order = np.argsort(-score, kind="stable")
+    flat = R.reshape(-1, 9)[order].astype(np.float32)
+    near = np.float32(1 + 2 * np.cos(radius_rad))  # of the trace
+    free = np.ones(len(order), bool)
+    chosen: list[int] = []
+    while len(chosen) < (len(order) if most is None else most) and free.any():
+        first = int(np.argmax(free))
+        chosen.append(first)
+        free &= flat @ flat[first] < near
+        free[first] = False
+    return np.asarray(order[chosen])

@@ -8,10 +8,11 @@ from reorient.registration.build import build_problem
 from reorient.registration.depth_view import DepthView, evenly_spaced
 from reorient.registration.evidence import INLIER_TOLERANCE, Evidence, measure_evidence
 from reorient.registration.gauss_newton import normal_equations, refine
-from reorient.registration.hypotheses import Hypotheses, non_maximum_suppression
+from reorient.registration.hypotheses import Hypotheses
 from reorient.registration.normals import fit_planes
 from reorient.registration.pivot import PivotPrior, pivot_prior
 from reorient.registration.problem import Observation, Problem
+from reorient.so3 import non_maximum_suppression
 
 __all__ = [
     "INLIER_TOLERANCE",

@@ -8,13 +8,14 @@ from jaxtyping import Float
 
 from reorient.errors import ReorientError
 
-MOST_VERTICES = 500  # of an object, kept for ShapeMatch (paper, "Training Details")
+MOST_VERTICES = 500  # vertices of an object kept for ShapeMatch (paper, "Training Details")
 
 
 def load_mesh(path: str | Path) -> trimesh.Trimesh:
-    """A surface from a file: .npz with ``v`` (n, 3) and ``f`` (m, 3), or whatever trimesh loads.
+    """A surface from a file: .npz with ``v`` (n, 3) and ``f`` (m, 3), or any format that trimesh loads.
 
-    Units are the file's own. Raises ReorientError for a missing, broken or truncated file and for what is no surface.
+    Lengths are in the unit of the file. Raises ReorientError for a missing, broken or truncated file, and for a mesh
+    that is no surface.
     """
     path = Path(path)
     if not path.is_file():
@@ -29,7 +30,7 @@ def load_mesh(path: str | Path) -> trimesh.Trimesh:
             _check_end(path, len(getattr(mesh, "faces", ())))
     except ReorientError:
         raise
-    except Exception as error:  # the loaders of a dozen formats raise whatever they like
+    except Exception as error:  # the loaders of a dozen formats raise many kinds of errors
         raise ReorientError(
             f"cannot read mesh {str(path)!r} ({type(error).__name__}: {error}): expected a complete file that trimesh "
             "loads, or .npz with v (n, 3) and f (m, 3)"
@@ -60,7 +61,7 @@ def _check_end(path: Path, loaded: int) -> None:
 
 
 def check_surface(mesh: object, name: str = "mesh") -> trimesh.Trimesh:
-    """The mesh itself if it is a surface. Raises ReorientError for no faces, bad shapes or indices, NaN or no area."""
+    """The mesh itself. Raises ReorientError for no faces, wrong shapes or indices, NaN, and zero area."""
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise ReorientError(f"{name!r} has no faces: expected a triangle mesh, not points or curves")
     if mesh.vertices.shape[1:] != (3,) or mesh.faces.shape[1:] != (3,):
@@ -80,7 +81,7 @@ def check_surface(mesh: object, name: str = "mesh") -> trimesh.Trimesh:
 
 
 def center(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """A copy whose bounding box is centred on the origin; vertices that no face uses are dropped."""
+    """A copy whose bounding box is centred on the origin, without vertices that no face uses."""
     used, faces = np.unique(mesh.faces, return_inverse=True)
     vertices = np.asarray(mesh.vertices, float)[used]
     vertices = vertices - (vertices.max(axis=0) + vertices.min(axis=0)) / 2
@@ -93,19 +94,21 @@ def bounding_radius(mesh: trimesh.Trimesh) -> float:
 
 
 def scale_to_radius(mesh: trimesh.Trimesh, radius_m: float) -> trimesh.Trimesh:
-    """A centred copy that just fits a sphere of this radius around the origin."""
+    """A centred copy with this bounding radius around the origin."""
     centred = center(mesh)
-    return centred.apply_scale(radius_m / bounding_radius(centred))
+    centred.apply_scale(radius_m / bounding_radius(centred))
+    return centred
 
 
 def scale_to_diagonal(mesh: trimesh.Trimesh, diagonal_m: float) -> trimesh.Trimesh:
     """A centred copy whose bounding box has this diagonal."""
     centred = center(mesh)
-    return centred.apply_scale(diagonal_m / float(np.linalg.norm(np.ptp(centred.vertices, axis=0))))
+    centred.apply_scale(diagonal_m / float(np.linalg.norm(np.ptp(centred.vertices, axis=0))))
+    return centred
 
 
 def some_vertices(mesh: trimesh.Trimesh, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
-    """At most 500 different vertices about the box's centre, over the bounding radius."""
+    """At most 500 distinct vertices of the centred mesh, drawn at random, over the bounding radius."""
     mesh = center(mesh)
     vertices = np.unique(mesh.vertices, axis=0)
     if len(vertices) > MOST_VERTICES:
