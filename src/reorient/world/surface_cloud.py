@@ -71,7 +71,7 @@ class SurfaceCloud:
 
     def _voxel(self, x: np.ndarray) -> np.ndarray:
         i, j, k = np.moveaxis(((x + self.half) * (_VOXELS / (2 * self.half))).astype(np.int32), -1, 0)
-        return (i * _VOXELS + j) * _VOXELS + k
+        return np.asarray((i * _VOXELS + j) * _VOXELS + k)
 
     def coarse(self, R: Rotations) -> Float[np.ndarray, " _"]:
         """``residuals`` to about one voxel, in microseconds per rotation."""

@@ -1,4 +1,4 @@
-"""Families of what grows: trees, plants, animals."""
+"""Families of living things: trees, plants, animals."""
 
 import numpy as np
 from manifold3d import Manifold
@@ -10,9 +10,9 @@ from reorient.world.shapes.solids import (
     lathe_profile,
     limb,
     ngon,
+    revolved,
     smooth_path,
     sweep,
-    turned,
     union,
 )
 
@@ -39,7 +39,7 @@ def branches(rng: Generator) -> Manifold:
 def plant(rng: Generator) -> Manifold:
     """A pot with stems that carry leaves or balls."""
     wide, high = rng.uniform(0.12, 0.3), rng.uniform(0.2, 0.5)
-    parts = [turned(lathe_profile(rng, wide, 0.15) * (1, high), int(rng.choice([4, 8, 24])))]
+    parts = [revolved(lathe_profile(rng, wide, 0.15) * (1, high), int(rng.choice([4, 8, 24])))]
     length, spread, broad = rng.uniform(0.4, 0.9), rng.uniform(0.2, 0.8), rng.uniform(0.15, 0.6)
     for _ in range(rng.integers(2, 11)):
         reach = rng.normal(0, spread, 2) * length

@@ -1,29 +1,27 @@
-"""Families of machine parts and plain bodies: turned, milled, bent, swept, cast, worn round."""
+"""Families of machine parts and plain bodies: revolved, milled, bent, swept, cast, rounded."""
 
 import numpy as np
 from manifold3d import CrossSection, Manifold
 from numpy.random import Generator
 
+from reorient.world.shapes.deformations import bent, lumpy, surface_points
 from reorient.world.shapes.solids import (
     ball,
-    bent,
     box,
     chance,
     extents,
     fit,
     lathe_profile,
-    lumpy,
     ngon,
     outline,
     pierced,
     primitive,
+    revolved,
     rod,
     smooth_path,
     soft_box,
-    surface_points,
     sweep,
     tilt,
-    turned,
     union,
 )
 
@@ -79,10 +77,10 @@ def profile_bar(rng: Generator) -> Manifold:
 
 
 def turned_part(rng: Generator) -> Manifold:
-    """Turned on a lathe, whole or part of the way round, with something off its axis."""
+    """A solid of revolution, complete or a sector of it, often with a peg beside its axis."""
     profile = lathe_profile(rng, float(np.exp(rng.normal(-1.2, 0.5))), 0.5)
     segments = int(rng.choice([6, 12, 32, 40]))
-    solid = turned(profile, segments, rng.uniform(90, 330) if chance(rng, 0.3) else 360.0)
+    solid = revolved(profile, segments, rng.uniform(90, 330) if chance(rng, 0.3) else 360.0)
     widest = float(profile[:, 0].max())
     if chance(rng, 0.4):
         solid = solid.trim_by_plane((-1, rng.normal(0, 0.3), 0), -rng.uniform(0.3, 0.8) * widest)
@@ -194,7 +192,7 @@ def bracket(rng: Generator) -> Manifold:
 
 def array(rng: Generator) -> Manifold:
     """One part repeated on a base in a row, ring or grid, growing or with gaps: rack, brush, keypad, candles."""
-    part = fit(primitive(rng, np.ones(3)) if chance(rng, 0.7) else turned(lathe_profile(rng, 0.3), 12), np.ones(3))
+    part = fit(primitive(rng, np.ones(3)) if chance(rng, 0.7) else revolved(lathe_profile(rng, 0.3), 12), np.ones(3))
     columns, rows = int(rng.integers(2, 7)), int(rng.integers(1, 5))
     if chance(rng, 0.3):
         angle = np.arange(columns + 1) * 2 * np.pi / (columns + 1)
