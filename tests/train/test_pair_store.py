@@ -15,7 +15,8 @@ import ray
 from conftest import SMALL
 from reorient import so3
 from reorient.errors import ReorientError
-from reorient.learning.pair_store import PairReader, estimate_cost, generate
+from reorient.learning.pair_reader import PairReader
+from reorient.learning.pair_store import estimate_cost, generate
 from reorient.world.objects import ObjectSource
 from reorient.world.pairs import PairSet
 from reorient.world.rendering import Placement, Renderer, load_world

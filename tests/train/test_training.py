@@ -20,9 +20,10 @@ from reorient.errors import ReorientError
 from reorient.learning.batches import Augmentation, Batches
 from reorient.learning.export import export
 from reorient.learning.network import build
-from reorient.learning.pair_store import PairReader
+from reorient.learning.pair_reader import PairReader
 from reorient.learning.recipes import Training, load_preset, lr_at
-from reorient.learning.training import load_weights, train
+from reorient.learning.training import train
+from reorient.learning.weights import load_weights
 from reorient.world.objects import split
 
 DEBUG = load_preset("debug")

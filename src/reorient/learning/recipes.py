@@ -1,4 +1,4 @@
-"""How to train: the paper's recipe, ours, and a tiny one for tests (no torch here: the command line starts fast)."""
+"""Training recipes: the paper's, that of swift, and a tiny one for tests. No torch here: the CLI imports this file."""
 
 import math
 from dataclasses import dataclass
@@ -12,47 +12,47 @@ LossName = Literal["mean", "shapematch", "hybrid", "chord"]
 
 @dataclass(frozen=True)
 class Training:
-    """How to train; the defaults are the paper's but for the learning rate."""
+    """Parameters of a training; the defaults are the paper's except for the learning rate."""
 
     network: NetworkName = "paper"
     """The paper's siamese ResNet-9, or swift: both images at once."""
     loss: LossName = "hybrid"
-    """hybrid: mean in the first epoch, then ShapeMatch; mean; shapematch; chord: mean first, then |q - q_hat|. A warm
-    start does without the first."""
+    """hybrid: mean in the first epoch, then ShapeMatch; mean; shapematch; chord: mean in the first epoch, then
+    |q - q_hat|. With a warm start there is no first epoch of mean."""
     epochs: int = 100
-    """The most; ``patience`` may end it before."""
+    """Largest number of epochs; ``patience`` can end the training earlier."""
     batch: int = 64
-    """Pairs a step, of one process."""
+    """Pairs per step of one process."""
     lr: float = 0.0003
-    """The paper's 0.002 did not leave "no rotation" in 250,000 pairs of our reading; this soon did."""
+    """Learning rate. With the paper's 0.002 the network still predicted "no rotation" after 250,000 pairs."""
     schedule: Literal["steps", "cosine"] = "steps"
-    """steps: times 0.9 every 5 epochs; cosine: down to nothing at the last epoch, after a short warm-up."""
+    """steps: times 0.9 every 5 epochs; cosine: to zero at the last epoch, after a short warm-up."""
     weight_decay: float = 1e-9
     """The paper's l2 penalty."""
     dropout: float = 0.4
-    """Share of the head's units left out in a step; the paper's 0.4 costs much (RESULTS.md)."""
+    """Share of the head's units dropped in a step; the paper's 0.4 increases the error (RESULTS.md)."""
     patience: int = 10
-    """Stop after so many epochs without a better validation error."""
+    """Stop after this many epochs without a lower validation error."""
     test_objects: int | None = None
-    """Objects kept for testing, by a hash of the name; default: a fifth."""
+    """Number of objects kept for testing, by a hash of the name; default: a fifth."""
     validation_pairs: int = 4096
-    """Pairs of other objects that are measured after each epoch."""
+    """Pairs of validation objects that are measured after each epoch."""
     precision: Literal["bf16-mixed", "32-true"] = "bf16-mixed"
-    """bf16-mixed: products in bfloat16, faster where the processor has it; 32-true: all in float32."""
-    turned: float = 0.0
-    """Share of pairs whose start is shown turned by an answer that is nearly right, as in a further round."""
+    """bf16-mixed: matrix products in bfloat16, faster on processors that have it; 32-true: all in float32."""
+    rotated: float = 0.0
+    """Share of pairs whose start is rotated by an almost correct prediction, as in a refinement round."""
     noise: float = 0.0
-    """Largest standard deviation of depth noise added in training, of the width of the view."""
+    """Largest standard deviation of depth noise added in training, over the width of the view."""
     seed: int = 0
-    """Of the first weights, the order of the pairs and what is drawn in training."""
+    """Seed of the initial weights, the order of the pairs and the augmentation."""
 
     def __post_init__(self) -> None:
-        """Raises ReorientError for what cannot be trained."""
+        """Raises ReorientError for values outside their range."""
         if min(self.epochs, self.batch, self.patience, self.validation_pairs) < 1 or self.seed < 0:
             raise ReorientError("expected at least one epoch, pair a step, epoch of patience and validation pair")
-        if not (0 <= self.turned <= 1 and 0 <= self.dropout < 1 and self.noise >= 0):
+        if not (0 <= self.rotated <= 1 and 0 <= self.dropout < 1 and self.noise >= 0):
             raise ReorientError(
-                f"turned={self.turned}, dropout={self.dropout}, noise={self.noise}: expected shares, no negative noise"
+                f"rotated={self.rotated}, dropout={self.dropout}, noise={self.noise}: expected shares, and noise >= 0"
             )
         if not (0 < self.lr < 1 and self.weight_decay >= 0):
             raise ReorientError(
@@ -72,7 +72,7 @@ PRESETS = {
         weight_decay=1e-5,
         dropout=0.1,
         patience=12,
-        turned=0.6,
+        rotated=0.6,
         noise=0.01,
     ),
     "debug": Training(epochs=2, batch=8, validation_pairs=16, precision="32-true"),
@@ -87,7 +87,7 @@ def load_preset(name: str) -> Training:
 
 
 def lr_at(config: Training, epoch: int, share: float) -> float:
-    """Learning rate in an epoch (from 0), of which this share is over."""
+    """Learning rate in an epoch (from 0), of which the share ``share`` is complete."""
     if config.schedule == "steps":
         return config.lr * 0.9 ** (epoch // 5)
     done = (epoch + share) / config.epochs
