@@ -208,7 +208,7 @@ def test_reliability_and_risk_by_hand():
     said = np.array([0.95, 0.91, 0.55, 0.51, 0.05])
     right = np.array([True, True, False, True, False])
     bins = trust.reliability(said, right)
-    assert [(x.low, x.n, x.hits, x.was) for x in bins] == [(0.0, 1, 0, 0.0), (0.5, 2, 1, 0.5), (0.9, 2, 2, 1.0)]
+    assert [(x.low, x.n, x.hits, x.accuracy) for x in bins] == [(0.0, 1, 0, 0.0), (0.5, 2, 1, 0.5), (0.9, 2, 2, 1.0)]
     assert trust.calibration_error(bins) == pytest.approx((0.05 + 2 * 0.03 + 2 * 0.07) / 5)
     assert trust.risk(said, right) == pytest.approx([0, 0, 1 / 3, 1 / 4, 2 / 5])
     assert trust.reliability(np.ones(3), np.ones(3, bool))[0].high == 1  # certainty is in the last bin
@@ -257,7 +257,7 @@ def decoded(address: str) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(base64.b64decode(address.partition(",")[2]))), float)
 
 
-def test_report_holds_everything_and_turns_the_start_by_the_estimate(tmp_path):
+def test_report_holds_everything_and_rotates_the_start_by_the_estimate(tmp_path):
     config = Evaluation(ObjectSource(count=2), ("gicp",), ranges_deg=((40, 60),), noise_mm=(0.0,), pairs=2)
     cell = {"low_deg": 40, "high_deg": 60}
     rows = [row(0.0, pair=index, object=f"generated-0-00000{index}", **cell) for index in (0, 1)]
@@ -271,9 +271,9 @@ def test_report_holds_everything_and_turns_the_start_by_the_estimate(tmp_path):
     html = path.read_text()
     charts, cards = pictures_of(html)[:3], pictures_of(html)[3:]
     assert all(address.startswith("data:image/svg") for address in charts)
-    assert "What the confidence is worth" not in html
+    assert "Calibration of the confidence" not in html
     headings = ["Results", "Error against angle", "Error histograms", "Cumulative errors", "Best and worst pairs"]
-    assert re.findall("<h2>(.*?)</h2>", html) == [*headings, "How it was run"]
+    assert re.findall("<h2>(.*?)</h2>", html) == [*headings, "Configuration"]
     assert len(cards) == 4  # two worst, then two best
     assert "error 47.50°</b> (46.25° symmetry-aware)" in html
     assert "gave &lt;up&gt;" in html
@@ -285,10 +285,10 @@ def test_report_holds_everything_and_turns_the_start_by_the_estimate(tmp_path):
         step = (pixels.shape[1] - 240) // 2
         return [pixels[-240:, left : left + 240] for left in (0, step, 2 * step)]
 
-    start, goal, turned = panels(cards[1])
-    assert np.abs(turned - goal).mean() < 0.15 * np.abs(start - goal).mean()
-    start, goal, turned = panels(cards[0])  # no rotation: the start without its occluder
-    assert np.abs(turned - start).mean() < 0.5 * np.abs(turned - goal).mean()
+    start, goal, rotated = panels(cards[1])
+    assert np.abs(rotated - goal).mean() < 0.15 * np.abs(start - goal).mean()
+    start, goal, rotated = panels(cards[0])  # no rotation: the start without its occluder
+    assert np.abs(rotated - start).mean() < 0.5 * np.abs(rotated - goal).mean()
 
 
 def test_report_shows_overlap_and_confidence_where_they_are_known(tmp_path):
@@ -296,7 +296,7 @@ def test_report_shows_overlap_and_confidence_where_they_are_known(tmp_path):
     rows = [row(x, estimator="default", confidence=1 - x / 10, overlap=x / 10) for x in range(10)]
     html = write_report(write_rows(tmp_path, rows)).read_text()
     headings = re.findall("<h2>(.*?)</h2>", html)
-    assert headings[:3] == ["Results", "By overlap of the views", "What the confidence is worth"]
+    assert headings[:3] == ["Results", "By overlap of the views", "Calibration of the confidence"]
     assert '<td class="word">25–50%</td>' in html
     assert len(set(pictures_of(html))) == 4
 

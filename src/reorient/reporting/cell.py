@@ -18,7 +18,7 @@ from reorient.errors import ReorientError
 from reorient.experiments.cell import COLUMNS, END
 from reorient.experiments.cell_trials import Experiment, close_loop, stage
 from reorient.perception.segmentation import object_mask
-from reorient.reporting.figures import error_by_image, errors_by_object, growing_curve
+from reorient.reporting.loop_figures import error_by_image, errors_by_object, growing_curve
 from reorient.reporting.page import inline_image, page
 from reorient.reporting.pictures import depth_range, montage, png_data_uri, shade, show_mask, write_gif
 from reorient.reporting.rows import read_table, wilson
