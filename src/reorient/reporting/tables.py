@@ -41,7 +41,7 @@ OVERLAP = Breakdown(
     "overlap",
     "%",
     by_overlap,
-    " Overlap: co-visible overlap, the share of the goal's visible surface that is visible in the start, from rays cast "
+    " Overlap: the share of the goal's visible surface that is visible in the start (co-visible), from rays cast "
     "at the mesh; all angles.",
 )
 
