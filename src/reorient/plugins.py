@@ -1,4 +1,4 @@
-"""Classes of the user's own, named on the command line as ``my_module:MyClass``."""
+"""User-defined classes, given on the command line as ``my_module:MyClass``."""
 
 import importlib
 import sys
@@ -8,9 +8,9 @@ from reorient.errors import ReorientError
 
 
 def make_own(kind: str, name: str) -> object:
-    """An object of a class ``my_module:MyClass``: imported (the working folder included) and called with nothing.
+    """An object of the class ``my_module:MyClass``, imported (also from the working folder) and called without arguments.
 
-    ``kind``: what it is, for the errors. Raises ReorientError where that cannot be.
+    ``kind``: a noun for error messages. Raises ReorientError if the class cannot be imported or called.
     """
     module_name, _, attribute = name.partition(":")
     if str(Path.cwd()) not in sys.path:

@@ -98,7 +98,9 @@ def write_depth(path: str | Path, image: DepthImage, scale_m: float = SCALE_M) -
         if suffix == ".png":
             units = np.rint(image.depth_m.astype(np.float64) / scale_m)
             if units.max() > 65535:
-                raise ReorientError(f"depth of {image.depth_m.max():.2f} m does not fit 16 bits of {scale_m} m each")
+                raise ReorientError(
+                    f"depth of {image.depth_m.max():.2f} m does not fit 16 bits of {scale_m} m each: expected a larger scale"
+                )
             text = PngImagePlugin.PngInfo()
             text.add_text("reorient", json.dumps(stated | {"scale_m": scale_m}))
             Image.fromarray(units.astype(np.uint16)).save(temporary, pnginfo=text)

@@ -196,8 +196,8 @@ def write_cell_report(config: Experiment, folder: Path) -> tuple[Path, Path]:
     lead = (
         f"{len(names)} objects, {len({_trial(loop) for loop in staged})} trials, in a simulated cell: a YuMi arm with "
         "servo errors and backlash, a structured-light depth camera and a colour camera, both with calibration errors. "
-        f"Depth noise {config.noise_mm:g} mm; the gripper is removed by its {config.segmentation}. Errors from the true "
-        "state."
+        f"Depth noise {config.noise_mm:g} mm; the gripper is removed by its {config.segmentation}. Errors from the "
+        "true state."
     )
     with replacing(html) as temporary:
         temporary.write_text(page("Orienting held objects in a simulated cell", lead, sections), encoding="utf-8")

@@ -12,13 +12,13 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from reorient.experiments.evaluation import Row
 from reorient.reporting.rows import estimators, numbers
-from reorient.reporting.style import DASHES, STYLE, colours_of, degrees, legend, svg, width_inches
+from reorient.reporting.style import DASHES, STYLE, colours_of, degrees, legend, width_inches
 
 _FEWEST = 5  # rows of a bin; quartiles of fewer are not drawn
 
 
-def error_by_angle(rows: Sequence[Row]) -> str:
-    """Median error (line) and quartiles (band) in bins of the start angle, a panel for each noise: an SVG data URI."""
+def error_by_angle(rows: Sequence[Row]) -> Figure:
+    """Median error (line) and quartiles (band) in bins of the start angle, a panel for each noise."""
     angle_deg, error_deg, noise_mm = (numbers(rows, column) for column in ("angle_deg", "error_deg", "noise_mm"))
     names = np.array([row["estimator"] for row in rows])
     colours = colours_of(estimators(rows))
@@ -49,11 +49,11 @@ def error_by_angle(rows: Sequence[Row]) -> str:
         panels[0].set_ylim(bottom=max(panels[0].get_ylim()[0], _least_deg(error_deg)))
         panels[0].set_ylabel("error (median, quartiles)")
         legend(figure, colours)
-        return svg(figure)
+        return figure
 
 
-def cumulative_errors(rows: Sequence[Row]) -> str:
-    """Share of pairs with an error below x, dashed: symmetry-aware; panels: range by noise. An SVG data URI."""
+def cumulative_errors(rows: Sequence[Row]) -> Figure:
+    """Share of pairs with an error below x, dashed: symmetry-aware; panels: range by noise."""
     plain_deg, aware_deg = numbers(rows, "error_deg"), numbers(rows, "error_sym_deg")
     colours = colours_of(estimators(rows))
     with mpl.rc_context(STYLE):
@@ -64,11 +64,11 @@ def cumulative_errors(rows: Sequence[Row]) -> str:
                 _cumulate(axes, plain_deg[mine], color=colours[name])
                 _cumulate(axes, aware_deg[mine], color=colours[name], linestyle=DASHES, linewidth=1.1)
         legend(figure, colours, [Line2D([], [], color="#5b6270", ls=DASHES, lw=1.1, label="symmetry-aware")])
-        return svg(figure)
+        return figure
 
 
-def error_histograms(rows: Sequence[Row]) -> str:
-    """Share of pairs in logarithmic bins of the plain error, panels as of ``cumulative_errors``: an SVG data URI.
+def error_histograms(rows: Sequence[Row]) -> Figure:
+    """Share of pairs in logarithmic bins of the plain error, panels as of ``cumulative_errors``.
 
     The first bin contains all smaller errors, so that the bars of an estimator add up to all of its pairs.
     """
@@ -87,7 +87,7 @@ def error_histograms(rows: Sequence[Row]) -> str:
                 axes.stairs(share, edges, color=colours[name], lw=1.4, zorder=3)  # above the grid and all fillings
         panels[0][0].set_ylim(bottom=0)
         legend(figure, colours)
-        return svg(figure)
+        return figure
 
 
 def _cells(

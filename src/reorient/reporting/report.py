@@ -5,6 +5,7 @@ from html import escape
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 from PIL import Image
 
 from reorient import so3
@@ -40,18 +41,16 @@ def write_report(folder: str | Path) -> Path:
     folder = Path(folder)
     rows, config = read_rows(folder), read_config(folder)
     objects = len({row["object"] for row in rows})
-    by_angle, cumulative = figures.error_by_angle(rows), figures.cumulative_errors(rows)
-    histograms = figures.error_histograms(rows)
     sections = {"Results": html_table(rows)}
     if any(row["overlap"] for row in rows):
         sections["By overlap of the views"] = html_table(rows, OVERLAP)
     if sure := trust.confident(rows):
-        drawn = svg(trust.figure(sure))
-        sections["Calibration of the confidence"] = inline_image(drawn, "reliability, risk and coverage", _TRUST)
+        chart = _chart(trust.figure(sure), "reliability, risk and coverage", _TRUST)
+        sections["Calibration of the confidence"] = chart
     sections |= {
-        "Error against angle": inline_image(by_angle, "error against the start angle", _BY_ANGLE),
-        "Error histograms": inline_image(histograms, "histograms of the error", _HISTOGRAMS),
-        "Cumulative errors": inline_image(cumulative, "share of pairs below an error", _CUMULATIVE),
+        "Error against angle": _chart(figures.error_by_angle(rows), "error against the start angle", _BY_ANGLE),
+        "Error histograms": _chart(figures.error_histograms(rows), "histograms of the error", _HISTOGRAMS),
+        "Cumulative errors": _chart(figures.cumulative_errors(rows), "share of pairs below an error", _CUMULATIVE),
         "Best and worst pairs": _pairs(rows, config),
         "Configuration": f"<pre>{escape((folder / 'config.json').read_text())}</pre>",
     }
@@ -63,6 +62,10 @@ def write_report(folder: str | Path) -> Path:
     with replacing(path) as temporary:
         temporary.write_text(page("Evaluation of rotation estimators", lead, sections), encoding="utf-8")
     return path
+
+
+def _chart(figure: Figure, alt: str, caption: str) -> str:
+    return inline_image(svg(figure), alt, caption)
 
 
 def _pairs(rows: Sequence[Row], config: Evaluation) -> str:
