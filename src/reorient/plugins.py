@@ -8,7 +8,7 @@ from reorient.errors import ReorientError
 
 
 def make_own(kind: str, name: str) -> object:
-    """An object of the class ``my_module:MyClass``, imported (also from the working folder) and called without arguments.
+    """An object of the class ``my_module:MyClass``, importable also from the working folder; no arguments.
 
     ``kind``: a noun for error messages. Raises ReorientError if the class cannot be imported or called.
     """

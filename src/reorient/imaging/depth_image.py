@@ -67,7 +67,7 @@ class DepthImage:
 
 
 def _checked_depth(depth_m: object, camera: Camera) -> Float32[np.ndarray, "height width"]:
-    """A float32 copy of the depth. Raises ReorientError for what is no depth image of this camera in metres."""
+    """A float32 copy of the depth. Raises ReorientError unless it is a depth image of this camera in metres."""
     try:
         depth = np.asarray(depth_m)
     except ValueError as error:  # rows of different lengths

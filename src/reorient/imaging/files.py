@@ -99,7 +99,7 @@ def write_depth(path: str | Path, image: DepthImage, scale_m: float = SCALE_M) -
             units = np.rint(image.depth_m.astype(np.float64) / scale_m)
             if units.max() > 65535:
                 raise ReorientError(
-                    f"depth of {image.depth_m.max():.2f} m does not fit 16 bits of {scale_m} m each: expected a larger scale"
+                    f"depth of {image.depth_m.max():.2f} m does not fit 16 bits of {scale_m} m: expected a larger scale"
                 )
             text = PngImagePlugin.PngInfo()
             text.add_text("reorient", json.dumps(stated | {"scale_m": scale_m}))

@@ -34,7 +34,7 @@ def isolate(
 ) -> DepthImage:
     """The image with only the returns inside the mask, the box (left, top, width, height) and the depth range.
 
-    Raises ReorientError for a mask of another size, for an invalid box, if no return is left, and if what is left still
+    Raises ReorientError for a mask of another size, for an invalid box, if no return is left, and if the rest still
     fills the image like a whole scene.
     """
     keep = image.valid

@@ -27,7 +27,7 @@ def load_mesh(path: str | Path) -> trimesh.Trimesh:
                 mesh = trimesh.Trimesh(arrays["v"].astype(float), arrays["f"].astype(int), process=False)
         else:
             mesh = trimesh.load(path, force="mesh", process=False)
-            _check_end(path, len(getattr(mesh, "faces", ())))
+            _require_complete(path, len(getattr(mesh, "faces", ())))
     except ReorientError:
         raise
     except Exception as error:  # the loaders of a dozen formats raise many kinds of errors
@@ -38,8 +38,11 @@ def load_mesh(path: str | Path) -> trimesh.Trimesh:
     return check_surface(mesh, str(path))
 
 
-def _check_end(path: Path, loaded: int) -> None:
-    """Raise ValueError for text that was cut off where trimesh takes what is left of it, so many faces, for a mesh."""
+def _require_complete(path: Path, loaded: int) -> None:
+    """Raise ValueError for truncated text files of which trimesh silently loads the rest; ``loaded``: faces it found.
+
+    .off and .ply state their number of rows; in .obj only an incomplete last line is detectable.
+    """
     if path.suffix.lower() == ".off":
         bare = "\n".join(line.partition("#")[0] for line in path.read_text(errors="replace").splitlines())
         lines = [words for line in bare.partition("OFF")[2].splitlines() if (words := line.split())]
@@ -51,7 +54,9 @@ def _check_end(path: Path, loaded: int) -> None:
         header, _, body = path.read_bytes().partition(b"end_header")
         stated = dict(line.split()[1:3] for line in header.splitlines() if line.startswith(b"element"))
         rows = sum(map(int, stated.values()))
-        missing = len(body.split(b"\n")) <= rows or loaded < int(stated.get(b"face", 0))  # the first ends the header
+        missing = len(body.split(b"\n")) <= rows or loaded < int(
+            stated.get(b"face", 0)
+        )  # the first line ends the header
         if b"format ascii" in header and missing:
             raise ValueError(f"fewer than {rows} whole lines")
     if path.suffix.lower() == ".obj":

@@ -61,7 +61,7 @@ class Plant:
         joints_rad = self.arm.solve(se3.transform(_SHOW_EMPTY, self.tool_m), self.arm.home_rad, self.fingers_m)
         self._drive = Drive(self.arm, joints_rad, self.fingers_m, None, config.errors, self._zero_rad, rng)
 
-    # --- what a station may use -------------------------------------------------------------------------------------
+    # --- available to a station -------------------------------------------------------------------------------------
 
     def read(self) -> Float[np.ndarray, " n"]:
         """Joint positions from the encoders."""

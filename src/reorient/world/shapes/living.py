@@ -27,8 +27,8 @@ def branches(rng: Generator) -> Manifold:
         end = start + direction * length
         parts.append(limb([start, middle, end], (radius, radius * 0.85, radius * 0.7), 6))
         for _ in range(rng.integers(2, 5 - min(depth, 2)) if depth else 0):
-            turn = direction + rng.normal(0, spread, 3)
-            grow(end, turn / np.linalg.norm(turn), length * shrink, radius * 0.7, depth - 1)
+            heading = direction + rng.normal(0, spread, 3)
+            grow(end, heading / np.linalg.norm(heading), length * shrink, radius * 0.7, depth - 1)
 
     grow(np.zeros(3), np.array([0.0, 0.0, 1.0]), rng.uniform(0.3, 0.6), rng.uniform(0.03, 0.1), int(rng.integers(1, 4)))
     if chance(rng, 0.5):

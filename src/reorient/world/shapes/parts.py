@@ -61,8 +61,8 @@ def crossed_profiles(rng: Generator) -> Manifold:
         fit(pierced(rng, outline(rng), int(rng.integers(0, 2))).extrude(1.0), np.ones(3))
         for _ in range(rng.integers(2, 4))
     ]
-    for turn, other in zip([(90, 0, 0), (0, 90, 0)], others, strict=False):
-        common = first ^ other.rotate(turn)
+    for rotation_deg, other in zip([(90, 0, 0), (0, 90, 0)], others, strict=False):
+        common = first ^ other.rotate(rotation_deg)
         first = first if common.is_empty() else common
     return first.scale(np.exp(rng.normal(0, 0.35, 3)))
 
@@ -97,13 +97,13 @@ def bent_pipe(rng: Generator) -> Manifold:
     """A section swept along a path: hook, helix, wire, ring or loose curve, sometimes with ends."""
     kind = rng.integers(4)
     if kind == 0:  # a helix, from spring to open ring
-        turn = np.linspace(0, rng.uniform(0.7, 4) * 2 * np.pi, 80)
-        grow = 1 + rng.uniform(-0.5, 0.5) * turn / turn[-1]
-        path = np.column_stack([np.cos(turn) * grow, np.sin(turn) * grow, turn * rng.uniform(0.03, 0.2)]) / 2
-        thick = min(0.12, 0.4 * float(path[-1, 2]) / max(1.0, turn[-1] / (2 * np.pi)))
+        angle = np.linspace(0, rng.uniform(0.7, 4) * 2 * np.pi, 80)
+        grow = 1 + rng.uniform(-0.5, 0.5) * angle / angle[-1]
+        path = np.column_stack([np.cos(angle) * grow, np.sin(angle) * grow, angle * rng.uniform(0.03, 0.2)]) / 2
+        thick = min(0.12, 0.4 * float(path[-1, 2]) / max(1.0, angle[-1] / (2 * np.pi)))
     elif kind == 1:  # a hook: a straight shank and an arc
-        turn = np.linspace(0, rng.uniform(0.5, 1.6) * np.pi, 20)
-        arc = rng.uniform(0.2, 0.5) * np.column_stack([1 - np.cos(turn), 0 * turn, np.sin(turn)])
+        angle = np.linspace(0, rng.uniform(0.5, 1.6) * np.pi, 20)
+        arc = rng.uniform(0.2, 0.5) * np.column_stack([1 - np.cos(angle), 0 * angle, np.sin(angle)])
         shank = np.column_stack([np.zeros((8, 2)), np.linspace(-rng.uniform(0.3, 1.2), -0.05, 8)])
         path, thick = np.concatenate([shank, arc]), 0.1
     else:
