@@ -20,7 +20,7 @@ from reorient.experiments.evaluation import (
     read_config,
     regenerate,
 )
-from reorient.registration.evidence import View, weigh
+from reorient.registration import DepthView, measure_evidence
 from reorient.world.objects import ObjectSource
 
 TINY = Evaluation(ObjectSource(count=2), ("gicp", "icp"), ranges_deg=((0, 30), (30, 60)), noise_mm=(0.0, 1.0), pairs=3)
@@ -110,7 +110,9 @@ class Fixed:
         if self.turn_rad is None:
             raise ReorientError("too dark")
         R = so3.exp(np.array([0, 0, self.turn_rad]))
-        return RotationEstimate(R, np.zeros(3), weigh(View(current), View(goal), R, np.zeros(3), 0.01))
+        return RotationEstimate(
+            R, np.zeros(3), measure_evidence(DepthView(current), DepthView(goal), R, np.zeros(3), 0.01)
+        )
 
 
 def test_an_estimator_that_refuses_has_answered_nothing(tmp_path):

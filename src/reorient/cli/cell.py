@@ -3,8 +3,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tyro.conf import Positional
-
+from reorient.cli.arguments import Positional
 from reorient.cli.progress import show_progress
 from reorient.experiments.cell import run
 from reorient.experiments.cell_trials import Experiment

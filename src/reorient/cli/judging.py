@@ -2,10 +2,8 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
 
-from tyro.conf import Positional, subcommand
-
+from reorient.cli.arguments import Positional
 from reorient.cli.learning import require
 from reorient.cli.progress import show_progress
 from reorient.learning.verifier import JudgeData
@@ -55,14 +53,3 @@ class Train:
         others = {effort: read(folder) for effort, folder in folders.items() if folder is not None}
         for name, value in train(read(self.data), self.out, others).items():
             print(f"{name}: {value:.4g}")
-
-
-@dataclass(frozen=True)
-class Judge:
-    """Make the judge's data; train it."""
-
-    verb: Annotated[Make, subcommand("make")] | Annotated[Train, subcommand("train")]
-
-    def run(self) -> None:
-        """Run the chosen verb."""
-        self.verb.run()

@@ -1,5 +1,6 @@
-"""The bar of long work: how far, how long, how much longer."""
+"""Output of long work: a progress bar, and the console for tables."""
 
+import sys
 from collections.abc import Iterator
 from itertools import chain
 
@@ -7,9 +8,9 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 
-def show_progress(what: str, states: Iterator[tuple[int, int] | tuple[int, int, str]]) -> None:
-    """Draw (done, all) states, some with a new text beside them, as a bar with the time left."""
-    first = next(states)  # bad input is refused before there is a bar
+def show_progress(description: str, states: Iterator[tuple[int, int] | tuple[int, int, str]]) -> None:
+    """Draw (done, total) states, some with a new description, as a bar with the time left."""
+    first = next(states)  # raises for bad input before the bar is drawn
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -18,6 +19,11 @@ def show_progress(what: str, states: Iterator[tuple[int, int] | tuple[int, int, 
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(what, total=None)
+        task = bar.add_task(description, total=None)
         for done, total, *text in chain([first], states):
             bar.update(task, completed=done, total=total, description=text[0] if text else None)
+
+
+def table_console() -> Console:
+    """A console as wide as the terminal, or wide enough for the tables where there is none."""
+    return Console() if sys.stdout.isatty() else Console(width=120)

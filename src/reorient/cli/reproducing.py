@@ -4,8 +4,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from tyro.conf import Positional
-
+from reorient.cli.arguments import Positional
 from reorient.cli.progress import show_progress
 from reorient.errors import ReorientError
 from reorient.reproducing import NAMES, Name
