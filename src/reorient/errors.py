@@ -1,8 +1,8 @@
-"""Errors for the user: the cause, the expected input, the remedy, in one line."""
+"""What a user sees when something is wrong: what it was, what was expected, what to do."""
 
 
 class ReorientError(ValueError):
-    """Bad input, with a message of one line; the command line prints it and exits with code 2."""
+    """Bad input, said in one line; the command line prints it and exits with code 2."""
 
 
 class StationError(ReorientError):
@@ -10,7 +10,7 @@ class StationError(ReorientError):
 
 
 def unknown_name(kind: str, name: str, known: list[str]) -> ReorientError:
-    """The error for an unknown name; its message lists the known names and the most similar one."""
+    """The error for a name that nothing answers to: names all that would, and the nearest."""
     import difflib
 
     near = difflib.get_close_matches(name, known, n=1)

@@ -1,4 +1,4 @@
-"""User-defined classes, given on the command line as ``my_module:MyClass``."""
+"""Classes of the user's own, named on the command line as ``my_module:MyClass``."""
 
 import importlib
 import sys
@@ -8,9 +8,9 @@ from reorient.errors import ReorientError
 
 
 def make_own(kind: str, name: str) -> object:
-    """An object of the class ``my_module:MyClass``, importable also from the working folder; no arguments.
+    """An object of a class ``my_module:MyClass``: imported (the working folder included) and called with nothing.
 
-    ``kind``: a noun for error messages. Raises ReorientError if the class cannot be imported or called.
+    ``kind``: what it is, for the errors. Raises ReorientError where that cannot be.
     """
     module_name, _, attribute = name.partition(":")
     if str(Path.cwd()) not in sys.path:
