@@ -53,7 +53,7 @@ def test_the_pivot_stays_and_is_where_the_object_rotates(cell):
 def test_out_of_reach_is_refused_before_anything_moves(cell):
     axes = so3.sample_axes(np.random.default_rng(0), 40)
     refused = [R for R in so3.exp(3.1 * axes) if not cell.reachable(R)]
-    assert refused  # no arm turns the gripper any way
+    assert refused  # no arm reaches every rotation
     before = cell.plant.R_world_object
     with pytest.raises(StationError, match="out of reach"):
         cell.rotate(refused[0])

@@ -100,13 +100,13 @@ def test_a_target_lies_in_the_middle():
     assert np.allclose((virtual.R_virtual_camera @ pivot_m)[0, :2], 0)
 
 
-def test_looking_straight_ahead_turns_nothing():
+def test_aiming_straight_ahead_rotates_nothing():
     image = sphere_image(CAMERAS["f = 300"], SPHERES_M["ahead"])
     virtual = aim(outline(image.valid[None], image.camera), np.array([[0.0, 0.0, 0.6]]))
     assert np.array_equal(virtual.R_virtual_camera[0], np.eye(3))
 
 
-def test_the_turn_to_the_target_is_a_rotation_of_least_angle(rng):
+def test_aiming_is_the_rotation_of_least_angle(rng):
     target = np.array([0, 0, 1.5]) + rng.normal(0, 0.5, (20, 3))
     box = np.tile(np.array([[-0.1, 0.1], [-0.1, 0.1]]), (20, 1, 1))
     R = aim(box, target).R_virtual_camera
@@ -151,7 +151,7 @@ def test_a_rotation_seen_by_the_virtual_camera_comes_back_in_camera_axes(rng):
     assert so3.angle_difference(R_virtual, R_goal_current) > 0.02
 
 
-class TestTurned:
+class TestRotated:
     @pytest.fixture
     def pair(self, mesh):
         """Two views of a corner, 20 degrees apart, and the truth between them in virtual axes."""
@@ -165,20 +165,20 @@ class TestTurned:
         pivot_m = virtual.R_virtual_camera @ placement.center_m
         return virtual, views_m, virtual.from_camera(R_goal_current[None]), pivot_m
 
-    def agreement(self, a, b):
+    def overlap(self, a, b):
         return np.sum((a > 0) & (b > 0) & (np.abs(a - b) < 0.005)) / np.sum((a > 0) | (b > 0))
 
-    def test_by_the_truth_it_looks_like_the_goal(self, pair):
+    def test_by_the_truth_it_equals_the_goal(self, pair):
         virtual, (current_m, goal_m), R, pivot_m = pair
         seen_m = rotated(current_m[None], virtual.tangent, R, pivot_m, pivot_m)[0]
         inverse_m = rotated(current_m[None], virtual.tangent, np.swapaxes(R, 1, 2), pivot_m, pivot_m)[0]
-        assert self.agreement(seen_m, goal_m) > 0.75 > 0.5 > self.agreement(current_m, goal_m)
-        assert self.agreement(inverse_m, goal_m) < 0.4
+        assert self.overlap(seen_m, goal_m) > 0.75 > 0.5 > self.overlap(current_m, goal_m)
+        assert self.overlap(inverse_m, goal_m) < 0.4
 
     def test_by_nothing_it_stays(self, pair):
         virtual, (current_m, _), _, pivot_m = pair
         seen_m = rotated(current_m[None], virtual.tangent, np.eye(3)[None], pivot_m, pivot_m)[0]
-        assert self.agreement(seen_m, current_m) > 0.98
+        assert self.overlap(seen_m, current_m) > 0.98
 
     def test_the_nearest_of_coinciding_points_shows(self):
         view_m = np.zeros((1, SIZE_PX, SIZE_PX), np.float32)
