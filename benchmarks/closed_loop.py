@@ -22,7 +22,7 @@ import numpy as np
 import tyro
 from rich.progress import track
 
-from reorient import Fusing, Limits, Proportional, load_estimator, orient, so3
+from reorient import Limits, load_estimator, load_strategy, orient, so3
 from reorient.controller import Strategy
 from reorient.errors import ReorientError
 from reorient.runs.files import make_folder, write_table
@@ -35,11 +35,11 @@ from reorient.world.statistics import is_distinctive
 from reorient.world.symmetry import SymmetryGroup, rotation_group, symmetric_error
 
 STRATEGIES: dict[str, Strategy] = {
-    "algorithm1": Proportional(),  # K = 100, eta = 0.2, delta = 0.5 degrees, as in the paper's simulation
-    "fusing": Fusing(),
-    "fusing-history": Fusing(memory=True),
-    # As many captures as fusing takes (rounded up), each followed by the whole predicted move:
-    "memoryless": Proportional(max_steps=9, eta=1.0, delta_rad=0.0, memory=False),
+    "algorithm1": load_strategy("algorithm1"),  # K = 100, eta = 0.2, delta = 0.5 degrees: the paper's simulation
+    "fusing": load_strategy("fusing"),
+    "fusing-history": load_strategy("fusing", history=True),
+    # As many captures as fusing takes (rounded up), each followed by the whole estimated rotation:
+    "memoryless": load_strategy("direct", max_images=9, delta_rad=0.0, history=False),
 }
 KEY = ("object", "trial", "noise_mm", "start_deg", "slack_deg", "faults", "system")
 

@@ -17,8 +17,8 @@ from jaxtyping import Bool, Float
 from numpy.random import Generator
 
 from reorient import so3
-from reorient.controller import Fusing, OrientResult, Proportional, Step, Strategy, orient
-from reorient.errors import ReorientError, StationError, unknown_name
+from reorient.controller import OrientResult, Step, load_strategy, orient
+from reorient.errors import ReorientError, StationError
 from reorient.estimators import load_estimator
 from reorient.imaging import DepthImage
 from reorient.perception.calibration import read_calibration
@@ -28,11 +28,6 @@ from reorient.world.objects import ObjectSource
 from reorient.world.statistics import is_distinctive
 
 MAX_STEPS = 50  # K of the paper's physical experiment
-STRATEGIES: dict[str, Strategy] = {
-    "algorithm1": Proportional(MAX_STEPS),  # eta = 0.2, delta = 0.5 degrees
-    "direct": Proportional(MAX_STEPS, eta=1.0),  # the whole of what is predicted, at once
-    "fusing": Fusing(MAX_STEPS),
-}
 LEAST_VISIBLE = 0.7  # of the object's silhouette, in goal and start (paper: "not significantly occluded")
 _TURNS = 200  # drawn for a start before another goal is tried
 _PLACES = 5  # goals tried
@@ -86,8 +81,7 @@ def estimator_and_strategy(system: str) -> tuple[str, str]:
     """The two names of a system. Raises ReorientError for an unknown one."""
     estimator, _, strategy = system.partition("/")
     load_estimator(estimator)
-    if strategy not in STRATEGIES:
-        raise unknown_name(f"strategy of system {system!r}:", strategy, list(STRATEGIES))
+    load_strategy(strategy)
     return estimator, strategy
 
 
@@ -166,7 +160,8 @@ def close_loop(
     """One loop from a stage, and the true angle left at each image and, last, at the end; degrees."""
     estimator, strategy = estimator_and_strategy(system)
     witness = Witness(staged.cell, staged.R_goal)
-    result = orient(witness, staged.goal, load_estimator(estimator), STRATEGIES[strategy], subscribers=subscribers)
+    chosen_strategy = load_strategy(strategy, max_images=MAX_STEPS)
+    result = orient(witness, staged.goal, load_estimator(estimator), chosen_strategy, subscribers=subscribers)
     return result, [*witness.errors_deg[: len(result.steps)], witness.error_deg()]
 
 

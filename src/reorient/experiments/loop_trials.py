@@ -12,7 +12,7 @@ import numpy as np
 import trimesh
 
 from reorient import so3
-from reorient.controller import Proportional, Step, orient
+from reorient.controller import Step, load_strategy, orient
 from reorient.errors import ReorientError
 from reorient.estimators import load_estimator
 from reorient.estimators.base import Estimator
@@ -76,7 +76,7 @@ def run_trial(task: tuple[LoopTrials, str, int]) -> list[Row]:
             if step.R_executed is not None:
                 kept.append(_error_deg(station, R_goal))
 
-        result = orient(station, goal, _estimator(estimator), Proportional(), subscribers=[score])
+        result = orient(station, goal, _estimator(estimator), load_strategy("algorithm1"), subscribers=[score])
         R_left = R_goal @ station.R_camera_object.T
         aware = symmetric_error(group, np.eye(3), R_left, station.R_camera_object)
         row = {

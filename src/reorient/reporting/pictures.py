@@ -128,7 +128,7 @@ def montage(pictures: Sequence[Image.Image], columns: int, labels: Sequence[str]
         left, top = index % columns * (width + gap), index // columns * (height + head + gap)
         sheet.paste(picture, (left, top + head))
         if labels is not None:
-            sheet.paste(INK, (left, top), _text(labels[index], (width, head), text_px))
+            sheet.paste(INK, (left, top), text_mask(labels[index], (width, head), text_px))
     return sheet
 
 
@@ -160,7 +160,7 @@ def png_data_uri(picture: Image.Image) -> str:
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
 
 
-def _text(text: str, size: tuple[int, int], text_px: int) -> Image.Image:
+def text_mask(text: str, size: tuple[int, int], text_px: int) -> Image.Image:
     """A mask with centred text, drawn large and reduced, because small type has uneven gaps."""
     width, height = (4 * n for n in size)
     mask = Image.new("L", (width, height))

@@ -112,18 +112,21 @@ def package(name: str) -> ObjectSet:
 
 @dataclass(frozen=True)
 class ObjectSource:
-    """Source of objects: the generator, unless a folder or a package is given."""
+    """Source of the objects.
+
+    They are generated unless a folder or a package is given.
+    """
 
     meshes: Path | None = None
-    """A folder of meshes (.obj, .stl, .ply, .dae, .npz with v and f, ...)."""
+    """Folder of meshes (.obj, .stl, .ply, .dae, .npz with v and f, ...)."""
     package: str | None = None
-    """An installed pip package with meshes: example-robot-data, rtb-data or pybullet."""
+    """Installed pip package with meshes: example-robot-data, rtb-data or pybullet."""
     only: Path | None = None
-    """A text file with the names of the objects to use, one a line."""
+    """Text file with the names of the objects to use, one a line."""
     count: int = 100
     """Number of objects to generate."""
     object_seed: int = 0
-    """Seed of the generator's sequence of objects."""
+    """Seed of the generator of objects."""
 
     @classmethod
     def from_json(cls, described: dict[str, Any]) -> "ObjectSource":

@@ -72,20 +72,20 @@ LARGEST_CHUNK = 64  # pairs that one read of a stored set loads at most
 
 @dataclass(frozen=True)
 class PairSet:
-    """Parameters of a set of pairs."""
+    """Pairs to generate."""
 
     objects: ObjectSource = field(default_factory=ObjectSource)
     """Objects that are drawn."""
     pairs_per_object: int = 200
-    """Pairs of each object, each with its own start orientation and rotation."""
+    """Number of pairs of each object, each with its own start and rotation."""
     world: str = "paper"
-    """Preset of camera, size and distance: paper or benchmark."""
+    """Preset of camera, object size and distance: paper or benchmark."""
     low_deg: float = 0.0
-    """Smallest angle between start and goal."""
+    """Smallest angle between current and goal image."""
     high_deg: float = 30.0
-    """Largest angle between start and goal."""
+    """Largest angle between current and goal image."""
     noise_mm: float = 0.0
-    """Depth noise of the structured-light sensor; 0: only rectangle and dropout."""
+    """Standard deviation of the sensor's depth noise, besides occluded pixels and dropouts."""
     seed: int = 0
     """Seed of the pairs."""
 
