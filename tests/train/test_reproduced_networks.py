@@ -8,7 +8,7 @@ import torch
 from reorient.cli import main
 from reorient.learning.network import build
 from reorient.learning.recipes import load_preset
-from reorient.learning.training import load_weights
+from reorient.learning.weights import load_weights
 from reorient.reporting.rows import read_table
 from reorient.reproducing import full, networks, non_symmetric
 from reorient.reproducing.figure import load_figure
