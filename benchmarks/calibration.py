@@ -2,7 +2,7 @@
 
     python benchmarks/calibration.py results/default-pivot --png out/calibration.png
 
-Right means a symmetry-aware error below 5 degrees. The calibration error is over ten equal bins of confidence, each
+Correct means a symmetry-aware error below 5 degrees. The calibration error is over ten equal bins of confidence, each
 weighted by its pairs.
 """
 
@@ -38,23 +38,22 @@ def main(config: Calibration) -> None:
         raise SystemExit(
             f"no confidences of {config.estimator!r} in {str(config.folder)!r}: expected rows that have one"
         )
-    said, right = confidence_and_correct(rows)
-    bins = reliability(said, right, config.bins)
-    print("confidence  pairs   said    was  (95% interval)")
+    confidence, correct = confidence_and_correct(rows)
+    bins = reliability(confidence, correct, config.bins)
+    print("confidence  pairs  predicted  observed  (95% interval)")
     for one in bins:
         low, high = one.interval
         edges = f"{one.low:.1f}-{one.high:.1f}"
-        print(f"{edges:10s} {one.n:6d}  {one.confidence:5.1%}  {one.accuracy:5.1%}  ({low:.0%}-{high:.0%})")
-    print(f"{len(rows)} pairs, right {right.mean():.1%}, expected calibration error {calibration_error(bins):.3f}")
+        print(f"{edges:10s} {one.n:6d}  {one.confidence:9.1%}  {one.accuracy:8.1%}  ({low:.0%}-{high:.0%})")
+    print(f"{len(rows)} pairs, correct {correct.mean():.1%}, expected calibration error {calibration_error(bins):.3f}")
     low_deg = numbers(rows, "low_deg")
     for upto in (90, 180):
         pairs = low_deg < upto
-        sure = pairs & (said >= config.sure)
-        share = right[sure].mean() if sure.any() else float("nan")
-        print(
-            f"up to {upto} degrees: sure of {sure.sum() / pairs.sum():.1%}, of which right {share:.1%} (n={sure.sum()})"
-        )
-    wrong = risk(said, right)
+        sure = pairs & (confidence >= config.sure)
+        accuracy = correct[sure].mean() if sure.any() else float("nan")
+        coverage = sure.sum() / pairs.sum()
+        print(f"up to {upto} degrees: coverage {coverage:.1%}, selective accuracy {accuracy:.1%} (n={sure.sum()})")
+    wrong = risk(confidence, correct)
     print(
         "risk at coverage "
         + ", ".join(f"{c:.0%}: {wrong[int(np.ceil(c * len(rows))) - 1]:.1%}" for c in (0.5, 0.7, 0.8, 0.9, 1.0))
