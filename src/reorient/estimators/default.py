@@ -21,7 +21,7 @@ from reorient.imaging import DepthImage
 from reorient.registration.evidence import weigh
 from reorient.registration.refine import Hypotheses, Look, Problem, descend, normal_equations
 from reorient.registration.surface import Surface, frame_of
-from reorient.runs.pool import processes
+from reorient.runs.pool import Pool
 
 FINE_TOLERANCE = 0.012  # depth difference that still fits, in sizes
 POLISH = (0.008, 0.006, 0.004, 0.003)  # tolerances of the last steps, in sizes, unless noise forbids
@@ -72,12 +72,9 @@ class Default:
         pivots = [None] * len(pairs) if pivots_m is None else list(pivots_m)
         if len(pivots) != len(pairs):
             raise ReorientError(f"{len(pivots)} pivots for {len(pairs)} pairs: expected one each, or no pivots_m")
-        currents, goals = [current for current, _ in pairs], [goal for _, goal in pairs]
-        workers = min(workers or cpu_count() or 1, len(pairs))
-        if workers <= 1:
-            return [self.estimate(*task) for task in zip(currents, goals, pivots, strict=True)]
-        with processes(workers) as pool:
-            return list(pool.map(self.estimate, currents, goals, pivots))
+        pool = Pool(max(min(workers or cpu_count() or 1, len(pairs)), 1))
+        tasks = [(*pair, pivot_m) for pair, pivot_m in zip(pairs, pivots, strict=True)]
+        return list(pool.map(lambda task: self.estimate(*task), tasks))
 
 
 def pose(
