@@ -34,7 +34,7 @@ def within(module: str, prefix: str) -> bool:
 
 
 def imports(name: str, sources: dict[str, str], everywhere: bool = True) -> Iterator[str]:
-    """Modules of the package that a file imports; ``everywhere``: also inside functions. Keys: ``stations/__init__``."""
+    """Modules of the package that a file imports; ``everywhere``: inside functions, too. Keys: "stations/__init__"."""
     package = name.split("/")[:-1]
     tree = ast.parse(sources[name])
     for node in ast.walk(tree) if everywhere else tree.body:

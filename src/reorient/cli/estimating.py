@@ -131,7 +131,7 @@ def _as_data(estimate: "RotationEstimate") -> dict[str, Any]:
         "covariance_rad2": None if estimate.covariance_rad2 is None else estimate.covariance_rad2.tolist(),
         "confidence": estimate.confidence,
         "alternatives": [{"R_goal_current": R.tolist(), "probability": p} for R, p in estimate.alternatives],
-        "evidence": evidence | {"agreement": estimate.evidence.agreement},
+        "evidence": evidence | {"score": estimate.evidence.score},
     }
 
 
@@ -146,7 +146,8 @@ def _in_words(estimate: "RotationEstimate") -> str:
             f"wxyz       {' '.join(f'{x:.6f}' for x in data['quat_wxyz'])}",
             f"matrix     {rows}",
             f"confidence {in_words(estimate)}",
-            f"evidence   {evidence.fit:.0%} of points fit (rms {1000 * evidence.residual_m:.2f} mm), "
-            f"{evidence.in_front:.0%} in front, {evidence.outside:.0%} outside, {evidence.behind:.0%} hidden",
+            f"evidence   {evidence.inlier_ratio:.0%} inliers (rms {1000 * evidence.residual_m:.2f} mm), "
+            f"{evidence.free_space_violation:.0%} free-space violations, "
+            f"{evidence.silhouette_violation:.0%} silhouette violations, {evidence.occluded:.0%} occluded",
         ]
     )

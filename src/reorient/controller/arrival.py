@@ -18,11 +18,8 @@ from scipy import ndimage
 
 from reorient import so3
 from reorient.estimators.base import History, RotationEstimate
-from reorient.estimators.default import pose
 from reorient.imaging import DepthImage
-from reorient.registration.evidence import View, size_m, weigh
-from reorient.registration.normals import fit_planes
-from reorient.registration.refine import Hypotheses, descend
+from reorient.registration import DepthView, build_problem, fit_planes, measure_evidence, refine
 
 POINTS = 1500  # of each image
 MOST_CAPTURES = 4  # the latest
@@ -59,12 +56,18 @@ def likeness(captures: Sequence[DepthImage], goal: DepthImage, estimates: Sequen
     two estimates make of the motion between them, which should be none. So both bear the errors of estimates; of each
     the best counts, as a single estimate may be off by degrees.
     """
-    views, target = [View(image, POINTS) for image in captures[-MOST_CAPTURES:]], View(goal, POINTS)
-    tolerance_m = TOLERANCE * max(size_m(views[0].all_points_m), size_m(target.all_points_m))
+    views, target = [DepthView(image) for image in captures[-MOST_CAPTURES:]], DepthView(goal)
+    tolerance_m = TOLERANCE * max(views[0].diameter_m, target.diameter_m)
     motions = [(x.R_goal_current, x.t_goal_current_m) for x in estimates[-MOST_CAPTURES:]]
-    others = [max(weigh(view, target, R, t_m, tolerance_m).fit for R, t_m in motions) for view in views]
+    others = [
+        max(measure_evidence(view, target, R, t_m, tolerance_m, POINTS).inlier_ratio for R, t_m in motions)
+        for view in views
+    ]
     between = [(Rb.T @ Ra, Rb.T @ (ta_m - tb_m)) for (Ra, ta_m), (Rb, tb_m) in permutations(motions, 2)]
-    own = [max(weigh(a, b, R, t_m, tolerance_m).fit for R, t_m in between) for a, b in pairwise(views)]
+    own = [
+        max(measure_evidence(a, b, R, t_m, tolerance_m, POINTS).inlier_ratio for R, t_m in between)
+        for a, b in pairwise(views)
+    ]
     beyond = (np.mean(others) - np.mean(own)) / (1 + LEAST_MISFIT - np.mean(own))
     return float(np.clip((beyond - NEUTRAL) / UNIT, -MOST, MOST))
 
@@ -75,15 +78,15 @@ def misfit(captures: Sequence[DepthImage], goal: DepthImage, estimates: Sequence
     What one pose has less than another, times the captures that each of them has, is how much likelier the goal shows
     it: the log of their odds. In place of an estimate from which this is not the pose another one's motion is taken.
     """
-    target = View(goal, POINTS)
-    views = [View(image, POINTS) for image in captures]
-    noise_m = max(_noise_m(captures, views), LEAST_NOISE * size_m(target.all_points_m))
+    target = DepthView(goal)
+    views = [DepthView(image) for image in captures]
+    noise_m = max(_noise_m(captures, views), LEAST_NOISE * target.diameter_m)
     motions = [(x.R_goal_current, x.t_goal_current_m) for x in estimates]
     near = [motion for motion in motions if float(so3.angle(motion[0])) <= STAYING_RAD] or [_settled(captures[0], goal)]
     motions = [motion if float(so3.angle(motion[0])) <= STAYING_RAD else near[0] for motion in motions]
     shown = _squares(goal, views, [(R.T, -R.T @ t_m) for R, t_m in motions], noise_m)
     seen = [_squares(image, [target], [motion], noise_m) for image, motion in zip(captures, motions, strict=True)]
-    return float(min(len(target.all_points_m), MOST_TELLING) * (shown + np.mean(seen)) / 2 / PER_NAT)
+    return float(min(len(target.points_m), MOST_TELLING) * (shown + np.mean(seen)) / 2 / PER_NAT)
 
 
 def looseness_rad(captures: Sequence[DepthImage], goal: DepthImage, estimates: Sequence[RotationEstimate]) -> float:
@@ -100,33 +103,34 @@ def looseness_rad(captures: Sequence[DepthImage], goal: DepthImage, estimates: S
 
 def _turns_freely(capture: DepthImage, goal: DepthImage, axis: Float[np.ndarray, "3"]) -> bool:
     """Whether a capture of the goal's pose, turned about an axis either way, stays turned and matches as well."""
-    problem = pose(capture, goal, None)
+    problem = build_problem(capture, goal, None)
     R = so3.exp(np.array([[0.0], [ASIDE_RAD], [-ASIDE_RAD]]) * axis)
-    settled = descend(problem, Hypotheses(R, problem.start(R)), SETTLING, SETTLING_POINTS)
-    agreement, turned = problem.agreement(settled, TOLERANCE, POINTS), so3.log(settled.R) @ axis
+    settled = refine(problem, problem.start(R), SETTLING, SETTLING_POINTS)
+    agreement, turned = problem.image_score(settled, TOLERANCE, POINTS), so3.log(settled.R) @ axis
     return bool(turned[1] - turned[2] >= FREE_RAD and agreement[0] - agreement[1:].min() <= FREE_LOSS)
 
 
 def _settled(image: DepthImage, other: DepthImage) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
     """The small motion that takes one image to another of nearly the same pose."""
-    problem = pose(image, other, None)
+    problem = build_problem(image, other, None)
     stay = np.eye(3)[None]
-    settled = descend(problem, Hypotheses(stay, problem.start(stay)), (*SETTLING, *SETTLING_FINE), SETTLING_POINTS)
+    settled = refine(problem, problem.start(stay), (*SETTLING, *SETTLING_FINE), SETTLING_POINTS)
     return settled.R[0], settled.t_m[0]
 
 
-def _noise_m(captures: Sequence[DepthImage], views: Sequence[View]) -> float:
+def _noise_m(captures: Sequence[DepthImage], views: Sequence[DepthView]) -> float:
     """Standard deviation of one capture's depths, from pairs of captures of one pose."""
     deviations = []
     for image, view in zip(captures, views[1:], strict=False):
-        dz_m, missed = view.compare(image.points())
-        if np.any(missed == 0):
-            deviations.append(np.median(np.abs(dz_m[missed == 0])) / 0.6745 / np.sqrt(2))
+        warped = view.warp(image.points().T)
+        on = ~warped.silhouette_violation()
+        if on.any():
+            deviations.append(np.median(np.abs(warped.difference_m[on])) / 0.6745 / np.sqrt(2))
     return float(np.mean(deviations)) if deviations else 0.0
 
 
 def _squares(
-    image: DepthImage, views: Sequence[View], motions: Sequence[tuple[np.ndarray, np.ndarray]], noise_m: float
+    image: DepthImage, views: Sequence[DepthView], motions: Sequence[tuple[np.ndarray, np.ndarray]], noise_m: float
 ) -> float:
     """Mean over an image's returns of their squared depth differences to views, in variances; for what no view shows,
     the most."""
@@ -134,8 +138,8 @@ def _squares(
     deviation_m = np.hypot(np.sqrt(2) * noise_m, SHIFT_PX * _steep_m(image))
     total, count = np.zeros(len(points_m)), np.zeros(len(points_m))
     for view, (R, t_m) in zip(views, motions, strict=True):
-        dz_m, missed = view.compare(points_m @ R.T + t_m)
-        on = missed == 0
+        warped = view.warp((points_m @ R.T + t_m).T)
+        on, dz_m = ~warped.silhouette_violation(), warped.difference_m
         total[on] += np.minimum((dz_m[on] / deviation_m[on]) ** 2, MOST_DEVIATIONS**2)
         count += on
     return float(np.mean(np.where(count > 0, total / np.maximum(count, 1), MOST_DEVIATIONS**2)))
@@ -146,7 +150,7 @@ def repeats(image: DepthImage, other: DepthImage, captures: Sequence[DepthImage]
     R, t_m = _settled(image, other)
     if float(so3.angle(R)) > STAYING_RAD:
         return False
-    tolerance_m = TOLERANCE * size_m(captures[0].points())
+    tolerance_m = TOLERANCE * DepthView(captures[0]).diameter_m
     off, missing = np.subtract(
         _differing(image, other, R, t_m, tolerance_m),
         _differing(captures[0], captures[1], np.eye(3), np.zeros(3), tolerance_m),
@@ -164,10 +168,11 @@ def _differing(
     """Of both images the share of returns that are off by more than a tolerance (which grows where depth is steep),
     and of those that the other does not show."""
     shares = []
-    for one, view, turn, shift_m in ((image, View(other), R, t_m), (other, View(image), R.T, -R.T @ t_m)):
-        dz_m, missed = view.compare(one.points() @ turn.T + shift_m)
-        off = (missed == 0) & (np.abs(dz_m) > np.hypot(tolerance_m, _steep_m(one)))
-        shares.append((off.mean(), (missed > 0).mean()))
+    for one, view, turn, shift_m in ((image, DepthView(other), R, t_m), (other, DepthView(image), R.T, -R.T @ t_m)):
+        warped = view.warp((one.points() @ turn.T + shift_m).T)
+        missed = warped.silhouette_violation()
+        off = ~missed & (np.abs(warped.difference_m) > np.hypot(tolerance_m, _steep_m(one)))
+        shares.append((off.mean(), missed.mean()))
     return np.mean(shares, axis=0)
 
 
@@ -187,10 +192,10 @@ def half_turns(
     ``history``: earlier captures, each with R_now_then. What no capture shows, no guess can be blamed for: a small loss
     means that the turned object may look like the goal, too, not that it does.
     """
-    problem = pose(capture, goal, None, history)
+    problem = build_problem(capture, goal, None, history)
     R = np.concatenate([np.eye(3)[None], so3.exp(np.pi * upright_axes(capture))])
-    settled = descend(problem, Hypotheses(R, problem.start(R)), SETTLING, SETTLING_POINTS)
-    agreement = problem.agreement(settled, TOLERANCE, POINTS)
+    settled = refine(problem, problem.start(R), SETTLING, SETTLING_POINTS)
+    agreement = problem.image_score(settled, TOLERANCE, POINTS)
     return list(zip(settled.R[1:], (agreement[0] - agreement[1:]).tolist(), strict=True))
 
 

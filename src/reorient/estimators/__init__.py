@@ -6,16 +6,18 @@ from reorient.errors import ReorientError, unknown_name
 from reorient.estimators.base import Estimator
 from reorient.plugins import make_own
 
-NAMES = ("default", "fast", "thorough", "gicp", "icp", "paper", "swift")
+NAMES = ("default", "rotation-search", "fast", "thorough", "gicp", "icp", "paper", "swift")
 
 
 def load_estimator(name: str = "default") -> Estimator:
-    """An estimator of the package, or one's own.
+    """An estimator of the package, or a user's own.
 
-    ``default``: any rotation, with a calibrated confidence; ``fast`` and ``thorough`` are the same with less and more
-    work. ``gicp``: generalised ICP, up to 60 degrees. ``icp``: the paper's baseline. ``my.onnx``: weights that
-    ``reorient export`` wrote. ``my_module:MyEstimator``: a class, imported (the working folder included) and called
-    with nothing. Raises ReorientError, a ValueError, for an unknown name.
+    ``rotation-search``, or ``default``: any rotation, with a calibrated confidence; ``fast`` and ``thorough`` are the
+    same with less and more work. ``gicp``: generalised ICP, up to 60 degrees. ``icp``: the paper's baseline. ``paper``
+    and ``swift``: networks, up to 30 degrees. ``my.onnx``: weights that ``reorient export`` wrote.
+    ``my_module:MyEstimator``: a class, imported (the working folder included) and called without arguments.
+
+    Raises ReorientError, a ValueError, for an unknown name.
     """
     if not isinstance(name, str):
         raise ReorientError(f"estimator {name!r}: expected a name, a string")
@@ -25,27 +27,36 @@ def load_estimator(name: str = "default") -> Estimator:
         return Learned(Path(name))
     if ":" in name:
         return _own(name)
-    if name in ("default", "fast", "thorough"):
-        from reorient.estimators.default import Default
+    if name not in NAMES:
+        raise unknown_name("estimator", name, list(NAMES))
+    return _MAKERS.get(name, _rotation_search)(name)
 
-        return Default("normal" if name == "default" else name)
-    if name == "gicp":
-        from reorient.estimators.gicp import GICP
 
-        return GICP()
-    if name == "icp":
-        from reorient.estimators.icp import ICP
+def _rotation_search(name: str) -> Estimator:
+    from reorient.estimators.rotation_search import RotationSearch
 
-        return ICP()
-    if name == "paper":
-        from reorient.estimators.learned import Learned
+    return RotationSearch(name if name in ("fast", "thorough") else "normal")
 
-        return Learned("paper")
-    if name == "swift":
-        from reorient.estimators.learned import SWIFT_ROUNDS, Learned
 
-        return Learned("swift", SWIFT_ROUNDS)
-    raise unknown_name("estimator", name, list(NAMES))
+def _gicp(_: str) -> Estimator:
+    from reorient.estimators.gicp import GICP
+
+    return GICP()
+
+
+def _icp(_: str) -> Estimator:
+    from reorient.estimators.icp import ICP
+
+    return ICP()
+
+
+def _learned(name: str) -> Estimator:
+    from reorient.estimators.learned import SWIFT_ROUNDS, Learned
+
+    return Learned("swift", SWIFT_ROUNDS) if name == "swift" else Learned("paper")
+
+
+_MAKERS = {"gicp": _gicp, "icp": _icp, "paper": _learned, "swift": _learned}
 
 
 def _own(name: str) -> Estimator:

@@ -1,20 +1,18 @@
-"""What an estimator is and what it answers."""
+"""The interface of an estimator, and its estimate."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
-from reorient import so3
+from reorient import se3, so3
 from reorient.errors import ReorientError
 from reorient.imaging import DepthImage
 from reorient.imaging.depth_image import MILLIMETRES_ABOVE
 from reorient.imaging.isolation import require_isolated
-from reorient.registration.evidence import Evidence, View, weigh
-
-TOLERANCE = 0.018  # depth difference that still fits, of the object's size
+from reorient.registration import INLIER_TOLERANCE, DepthView, Evidence, measure_evidence
 
 History = Sequence[tuple[DepthImage, Float[np.ndarray, "3 3"]]]
 """Earlier captures of the same held object, each with R_now_then."""
@@ -22,13 +20,13 @@ History = Sequence[tuple[DepthImage, Float[np.ndarray, "3 3"]]]
 
 @dataclass(frozen=True, eq=False)
 class RotationEstimate:
-    """How the object must turn: p_goal = R_goal_current p_current + t_goal_current_m, camera axes."""
+    """The motion from current to goal: p_goal = R_goal_current p_current + t_goal_current_m, camera axes, metres."""
 
     R_goal_current: Float[np.ndarray, "3 3"]
     """R_goal = R_goal_current @ R_current (left multiplication)."""
     t_goal_current_m: Float[np.ndarray, "3"]
     evidence: Evidence
-    """What the two images say about the answer."""
+    """How the motion fits both images."""
     confidence: float | None = None
     """Calibrated probability that the symmetry-aware error is below 5 degrees; None where not calibrated."""
     alternatives: tuple[tuple[Float[np.ndarray, "3 3"], float], ...] = ()
@@ -37,13 +35,23 @@ class RotationEstimate:
     """Of the rotation vector of a left perturbation, given that the answer is near the truth; or None."""
 
     @property
+    def T_goal_current(self) -> se3.Transform:
+        """The motion as a (4, 4) matrix, p_goal = T p_current, camera axes, metres."""
+        return se3.transform(self.R_goal_current, self.t_goal_current_m)
+
+    @property
+    def rotvec_rad(self) -> Float[np.ndarray, "3"]:
+        """The rotation as a rotation vector (axis times angle), camera axes."""
+        return so3.log(self.R_goal_current)
+
+    @property
     def quat_wxyz(self) -> Float[np.ndarray, "4"]:
         """The rotation as a unit quaternion with q_r >= 0."""
         return so3.quat_from_matrix(self.R_goal_current)
 
     @property
     def angle_rad(self) -> float:
-        """How far the object still has to turn."""
+        """Angle of the rotation, in [0, pi]."""
         return float(so3.angle(self.R_goal_current))
 
 
@@ -68,7 +76,7 @@ class Estimator(Protocol):
 def check_pair(
     current: DepthImage, goal: DepthImage, pivot_m: Float[np.ndarray, "3"] | None = None, fewest: int = 20
 ) -> None:
-    """Raise ReorientError for what no estimator can use: too few returns, no isolated object, a bad pivot."""
+    """Raise ReorientError for input that no estimator can use: few returns, no isolated object, a bad pivot."""
     for name, image in (("current", current), ("goal", goal)):
         if not isinstance(image, DepthImage):
             raise ReorientError(f"{name} is a {type(image).__name__}: expected DepthImage(depth_m, camera)")
@@ -86,8 +94,8 @@ def check_pair(
             raise ReorientError(f"pivot {pivot_m}: this looks like millimetres, expected metres (times 0.001)")
 
 
-def known_captures(history: History) -> History:
-    """The history itself, checked. Raises ReorientError for what is no earlier capture by a known rotation."""
+def checked_history(history: History) -> History:
+    """The history itself. Raises ReorientError where it is not a sequence of (DepthImage, rotation matrix)."""
     try:
         known = [(image, np.asarray(R, float)) for image, R in history]
         right = all(isinstance(image, DepthImage) and so3.is_rotation(R) for image, R in known)
@@ -98,28 +106,38 @@ def known_captures(history: History) -> History:
     return known
 
 
-def weighed(
-    current: DepthImage, goal: DepthImage, R: Float[np.ndarray, "3 3"], t_m: Float[np.ndarray, "3"], **more: Any
+def with_evidence(
+    current: DepthView,
+    goal: DepthView,
+    R_goal_current: Float[np.ndarray, "3 3"],
+    t_goal_current_m: Float[np.ndarray, "3"],
+    converged: bool | None = None,
+    iterations: int | None = None,
+    **more: Any,
 ) -> RotationEstimate:
-    """An answer with what the two images say about it."""
-    tolerance_m = TOLERANCE * float(np.linalg.norm(np.ptp(goal.points(), axis=0)))
-    return RotationEstimate(R, t_m, weigh(View(current), View(goal), R, t_m, tolerance_m), **more)
+    """An estimate with its evidence, at the tolerance that all estimators share; ``more``: its other fields."""
+    tolerance_m = INLIER_TOLERANCE * max(current.diameter_m, goal.diameter_m)
+    evidence = measure_evidence(current, goal, R_goal_current, t_goal_current_m, tolerance_m)
+    evidence = replace(evidence, converged=converged, iterations=iterations)
+    return RotationEstimate(R_goal_current, t_goal_current_m, evidence, **more)
 
 
 def as_estimate(answer: Any, current: DepthImage, goal: DepthImage) -> RotationEstimate:
-    """What an estimator of the user's own answered. Any object with the fields of ``RotationEstimate`` will do; where
-    it brings no ``Evidence``, the images are asked. Raises ReorientError for what is no answer."""
+    """The answer of a user's own estimator as a ``RotationEstimate``; any object with its fields will do.
+
+    The evidence is measured where the answer brings none. Raises ReorientError where there is no valid motion.
+    """
     try:
         R, t_m = np.asarray(answer.R_goal_current, float), np.asarray(answer.t_goal_current_m, float)
     except (AttributeError, TypeError, ValueError):
         R = t_m = np.empty(0)
     if not so3.is_rotation(R) or t_m.shape != (3,) or not np.isfinite(t_m).all():
         raise ReorientError(
-            f"{type(answer).__name__} answered: expected R_goal_current, a (3, 3) rotation matrix, and "
+            f"the estimator returned {type(answer).__name__}: expected R_goal_current, a (3, 3) rotation matrix, and "
             "t_goal_current_m, three finite metres"
         )
     if isinstance(answer, RotationEstimate):
         return answer
     more = {name: getattr(answer, name, None) for name in ("confidence", "covariance_rad2")}
     alternatives = tuple(getattr(answer, "alternatives", None) or ())
-    return weighed(current, goal, R, t_m, alternatives=alternatives, **more)
+    return with_evidence(DepthView(current), DepthView(goal), R, t_m, alternatives=alternatives, **more)

@@ -10,7 +10,7 @@ from jaxtyping import Float, Float32
 
 from reorient import so3
 from reorient.errors import ReorientError
-from reorient.estimators.base import History, RotationEstimate, check_pair, weighed
+from reorient.estimators.base import History, RotationEstimate, check_pair, with_evidence
 from reorient.imaging import DepthImage
 from reorient.imaging.virtual_camera import (
     VirtualCamera,
@@ -22,6 +22,7 @@ from reorient.imaging.virtual_camera import (
     turned,
     turning_points,
 )
+from reorient.registration import DepthView
 
 SWIFT_ROUNDS = 3  # from the second on it is asked about what the answer so far leaves
 NEAR_RAD = float(np.radians(3))  # so little is left that the exchanged pair is like those it was trained on, too
@@ -89,7 +90,7 @@ class Learned:
             R_virtual = so3.matrix_from_quat(left_wxyz) @ R_virtual
         R = virtual.to_camera(R_virtual)[0]
         t = virtual.R_virtual_camera[0].T @ (to_m[0] - R_virtual[0] @ from_m[0])
-        return weighed(current, goal, R, t)
+        return with_evidence(DepthView(current), DepthView(goal), R, t)
 
     def raw_quat_wxyz(self, current: DepthImage, goal: DepthImage) -> Float[np.ndarray, "4"]:
         """What the network itself says in its first round: virtual camera axes, the sign as it comes."""

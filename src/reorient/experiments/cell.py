@@ -25,7 +25,7 @@ from reorient.runs.provenance import run_record
 NOT_STAGED = "not staged"
 COLUMNS = [
     *("object", "trial", "low_deg", "high_deg", "estimator", "strategy", "image", "error_deg", "predicted_deg"),
-    *("turned_deg", "returns", "agreement", "confidence", "moves", "converged", "reason"),
+    *("turned_deg", "returns", "score", "confidence", "moves", "converged", "reason"),
 ]
 END = "end"  # in the column ``image``, of the row after the last image
 
@@ -115,7 +115,7 @@ def _loop_rows(result: OrientResult, errors_deg: list[float]) -> Iterator[dict[s
             "predicted_deg": f"{np.degrees(step.estimate.angle_rad):.4f}",
             "turned_deg": "" if step.R_executed is None else f"{np.degrees(so3.angle(step.R_executed)):.4f}",
             "returns": int(np.count_nonzero(step.image.depth_m)),
-            "agreement": f"{step.estimate.evidence.agreement:.4f}",
+            "score": f"{step.estimate.evidence.score:.4f}",
             "confidence": "" if step.estimate.confidence is None else f"{step.estimate.confidence:.4f}",
         }
     yield {

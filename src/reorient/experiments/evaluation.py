@@ -43,11 +43,11 @@ COLUMNS = [
     "qy",
     "qz",
     "seconds",
-    "agreement",
-    "fit",
-    "in_front",
-    "outside",
-    "behind",
+    "score",
+    "inlier_ratio",
+    "free_space_violation",
+    "silhouette_violation",
+    "occluded",
     "residual_mm",
     "converged",
     "iterations",
@@ -203,11 +203,11 @@ def _estimate(
     else:
         R, message = estimate.R_goal_current, ""
         evidence = estimate.evidence
-        names = ("agreement", "fit", "in_front", "outside", "behind")
+        names = ("score", "inlier_ratio", "free_space_violation", "silhouette_violation", "occluded")
         figures = {name: f"{getattr(evidence, name):.4f}" for name in names} | {
             "residual_mm": f"{1000 * evidence.residual_m:.4f}",
-            "converged": int(evidence.converged),
-            "iterations": evidence.iterations,
+            "converged": "" if evidence.converged is None else str(int(evidence.converged)),
+            "iterations": "" if evidence.iterations is None else str(evidence.iterations),
             "confidence": "" if estimate.confidence is None else f"{estimate.confidence:.4f}",
         }
     seconds = time.process_time() - begin

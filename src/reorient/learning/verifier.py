@@ -14,10 +14,10 @@ from jaxtyping import Bool, Float
 from numpy.random import Generator
 
 from reorient.errors import ReorientError, unknown_name
-from reorient.estimators.default import pose
 from reorient.estimators.search import EFFORTS, search
 from reorient.estimators.verifier import FEATURES, features
 from reorient.imaging import DepthImage
+from reorient.registration import build_problem
 from reorient.runs.files import make_folder, replacing
 from reorient.runs.pool import check_workers, processes
 from reorient.runs.provenance import keep_record
@@ -105,10 +105,12 @@ def _make_shard(task: tuple[JudgeData, tuple[str, ...], Path]) -> None:
                 pair = sample_pair(rng, renderer, world, randomised(_noise_m(rng, config.most_noise_mm)), low, high)
             except ReorientError:  # a sheet that shows too little from everywhere
                 continue
-            problem = pose(*_misread(rng, pair, config.most_wrong_focal), pair.pivot_m if rng.random() < 0.6 else None)
+            problem = build_problem(
+                *_misread(rng, pair, config.most_wrong_focal), pair.pivot_m if rng.random() < 0.6 else None
+            )
             hypotheses = search(problem, EFFORTS[config.effort])
             errors = [symmetric_error(group, R, pair.R_goal_current, pair.R_camera_object) for R in hypotheses.R]
-            columns["figures"].append(features(problem, problem.looks[0], hypotheses).astype(np.float32))
+            columns["figures"].append(features(problem, hypotheses).astype(np.float32))
             columns["error_deg"].append(np.degrees(errors).astype(np.float32))
             columns["pair"].append(np.full(len(errors), number * config.pairs + index))
             columns["object"].append(np.full(len(errors), number))
@@ -198,7 +200,7 @@ def train(
         odds = model.decision_function(shards.figures)
         chosen = _chosen(shards, odds)
         fitted[effort] = _platt(odds[chosen], shards.right[chosen])
-        by_agreement = _chosen(shards, shards.figures[:, FEATURES.index("agreement")])
+        by_agreement = _chosen(shards, shards.figures[:, FEATURES.index("score")])
         result |= {
             f"{effort}: held-out pairs": len(chosen),
             f"{effort}: right": float(shards.right[chosen].mean()),

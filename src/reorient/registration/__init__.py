@@ -1,1 +1,32 @@
-"""The geometry kernel: depth views, the alignment problem, scores, Gauss-Newton, normals."""
+"""The geometry kernel: depth views, the alignment problem, scores and evidence, Gauss-Newton, normals.
+
+It aligns depth images and knows no estimator. ``build_problem`` makes the problem of a pair; ``Problem.start`` makes
+hypotheses of rotations, ``refine`` improves them, ``Problem.score`` and ``measure_evidence`` compare them.
+"""
+
+from reorient.registration.build import build_problem
+from reorient.registration.depth_view import DepthView, evenly_spaced
+from reorient.registration.evidence import INLIER_TOLERANCE, Evidence, measure_evidence
+from reorient.registration.gauss_newton import normal_equations, refine
+from reorient.registration.hypotheses import Hypotheses, non_maximum_suppression
+from reorient.registration.normals import fit_planes
+from reorient.registration.pivot import PivotPrior, pivot_prior
+from reorient.registration.problem import Observation, Problem
+
+__all__ = [
+    "INLIER_TOLERANCE",
+    "DepthView",
+    "Evidence",
+    "Hypotheses",
+    "Observation",
+    "PivotPrior",
+    "Problem",
+    "build_problem",
+    "evenly_spaced",
+    "fit_planes",
+    "measure_evidence",
+    "non_maximum_suppression",
+    "normal_equations",
+    "pivot_prior",
+    "refine",
+]

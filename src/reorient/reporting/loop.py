@@ -71,12 +71,12 @@ def outcome(result: OrientResult, errors_deg: Sequence[float]) -> str:
 
 def evidence_in_words(evidence: Evidence) -> str:
     """What the two images say about an estimate."""
-    against = evidence.in_front + evidence.outside
-    said = f"{evidence.fit:.0%} fits"
+    against = evidence.free_space_violation + evidence.silhouette_violation
+    said = f"{evidence.inlier_ratio:.0%} inliers"
     if np.isfinite(evidence.residual_m):
         said += f" (rms {1000 * evidence.residual_m:.1f} mm)"
-    said += f", {against:.0%} contradicts, {evidence.behind:.0%} hidden"
-    return said if evidence.converged else said + "; registration not converged"
+    said += f", {against:.0%} violations, {evidence.occluded:.0%} occluded"
+    return said if evidence.converged is not False else said + "; registration not converged"
 
 
 def _moves_before(steps: Sequence[Step]) -> list[int]:

@@ -7,8 +7,9 @@ import numpy as np
 import trimesh
 from jaxtyping import Float
 
-from reorient.estimators.base import History, RotationEstimate, check_pair, weighed
+from reorient.estimators.base import History, RotationEstimate, check_pair, with_evidence
 from reorient.imaging import DepthImage
+from reorient.registration import DepthView, evenly_spaced
 
 MAX_POINTS = 1500
 
@@ -52,11 +53,12 @@ class ReleasedICP:
 
 def _collapsed(image: DepthImage) -> Float[np.ndarray, "n 3"]:
     points = image.points()
-    points = points[np.linspace(0, len(points) - 1, min(len(points), MAX_POINTS)).astype(int)]
+    points = points[evenly_spaced(len(points), MAX_POINTS)]
     points[:, :2] /= image.camera.width
     return points
 
 
 def _answer(current: DepthImage, goal: DepthImage, R: Float[np.ndarray, "3 3"]) -> RotationEstimate:
     """With the translation that brings the centroids together."""
-    return weighed(current, goal, R, goal.points().mean(axis=0) - R @ current.points().mean(axis=0))
+    t_m = goal.points().mean(axis=0) - R @ current.points().mean(axis=0)
+    return with_evidence(DepthView(current), DepthView(goal), R, t_m)

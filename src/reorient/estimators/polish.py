@@ -1,0 +1,105 @@
+"""The last steps of an estimate: Gauss-Newton on all returns, generalised ICP, and the covariance of the answer."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import small_gicp
+from jaxtyping import Float
+
+from reorient import se3, so3
+from reorient.registration import Hypotheses, Problem, measure_evidence, normal_equations, refine
+
+FEWEST_POINTS = 11  # of a cloud at its resolution; small_gicp warns of fewer
+
+
+@dataclass(frozen=True, kw_only=True)
+class Polish:
+    """Settings; lengths relative to the object diameter."""
+
+    tolerances: tuple[float, ...] = (0.008, 0.006, 0.004, 0.003)
+    """Of the Gauss-Newton steps, unless noise forbids."""
+    points: int = 4000
+    """Of each image."""
+    noise_factor: float = 4.0
+    """The tolerances are at least this many residuals of the inliers."""
+    inlier_tolerance: float = 0.012
+    """Depth difference of the inliers that measure the noise."""
+    quiet: float = 0.0045
+    """Residual of depth with next to no noise; also the tolerance by which ICP's answer is compared with its start."""
+    voxel: float = 0.009
+    """Of ICP's clouds."""
+    noisy_voxel: float = 0.02
+    """The same for noisy depth; also the largest distance of ICP's correspondences."""
+    loss: float = 0.002
+    """Score that ICP's answer may lose: differences below a pixel count as little."""
+    least_noise: float = 0.001
+    """Residual of exact depth, which comes from interpolation between pixels."""
+    covariance_scale: float = 0.044
+    """From the inverse of the curvature to the scatter observed with 1 mm noise; without noise it is pessimistic."""
+
+
+POLISH = Polish()
+
+
+@dataclass(frozen=True, eq=False)
+class Polished:
+    """A polished hypothesis, and how the registration ended."""
+
+    hypothesis: Hypotheses
+    """One motion."""
+    converged: bool | None
+    """Whether ICP met its stopping rule and its answer was kept; None where the clouds are too small for it."""
+    iterations: int | None
+
+
+def polish(problem: Problem, answer: Hypotheses) -> Polished:
+    """Gauss-Newton steps on all returns; then ICP, which is finer, unless it loses the score of its start."""
+    noise = _residual(problem, answer)
+    answer = refine(problem, answer, [max(x, POLISH.noise_factor * noise) for x in POLISH.tolerances], POLISH.points)
+    registered = register(problem, answer, POLISH.voxel if noise < POLISH.quiet else POLISH.noisy_voxel)
+    if registered is None:
+        return Polished(answer, None, None)
+    return choose(problem, answer, registered)
+
+
+def choose(problem: Problem, answer: Hypotheses, registered: Polished) -> Polished:
+    """The registered answer unless it loses the score of the one that it began from."""
+    before, after = (problem.score(x, POLISH.quiet, POLISH.points)[0] for x in (answer, registered.hypothesis))
+    return registered if after >= before - POLISH.loss else Polished(answer, False, registered.iterations)
+
+
+def register(problem: Problem, answer: Hypotheses, voxel: float) -> Polished | None:
+    """Generalised ICP from an answer; ``voxel`` relative to the object diameter. None for clouds too small for it."""
+    diameter_m = problem.diameter_m
+    clouds = (view.points_m.astype(float) for view in (problem.current, problem.goal))
+    (source, _), (target, tree) = (small_gicp.preprocess_points(x, voxel * diameter_m, 10) for x in clouds)
+    if min(source.size(), target.size()) < FEWEST_POINTS:
+        return None
+    result = small_gicp.align(
+        target,
+        source,
+        tree,
+        se3.transform(answer.R[0], answer.t_m[0]),
+        registration_type="GICP",
+        max_correspondence_distance=POLISH.noisy_voxel * diameter_m,
+        max_iterations=20,
+        rotation_epsilon=1e-5,
+        translation_epsilon=1e-5 * diameter_m,
+    )
+    T = result.T_target_source
+    R = so3.matrix_from_quat(so3.quat_from_matrix(T[:3, :3]))  # small_gicp's products drift from SO(3)
+    return Polished(Hypotheses(R[None], T[None, :3, 3]), bool(result.converged), int(result.iterations))
+
+
+def covariance_rad2(problem: Problem, answer: Hypotheses) -> Float[np.ndarray, "3 3"]:
+    """Covariance of the rotation vector of a left perturbation, from the curvature at the answer."""
+    noise = max(_residual(problem, answer), POLISH.least_noise)
+    H, _ = normal_equations(problem, answer, POLISH.noise_factor * noise, POLISH.points)
+    return POLISH.covariance_scale * np.linalg.inv(H[0] + 1e-9 * np.eye(6))[:3, :3]
+
+
+def _residual(problem: Problem, answer: Hypotheses) -> float:
+    """Root mean square depth difference of the inliers, relative to the object diameter; 0 where there is none."""
+    tolerance_m = POLISH.inlier_tolerance * problem.diameter_m
+    evidence = measure_evidence(problem.current, problem.goal, answer.R[0], answer.t_m[0], tolerance_m)
+    return float(np.nan_to_num(evidence.residual_m)) / problem.diameter_m

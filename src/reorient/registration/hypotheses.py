@@ -1,0 +1,75 @@
+"""Hypotheses: many rigid motions at once, and non-maximum suppression on SO(3)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+
+@dataclass(frozen=True, eq=False)
+class Hypotheses:
+    """k motions from current to goal, goal's camera axes: p_goal = R p_current + t."""
+
+    R: Float[np.ndarray, "k 3 3"]
+    t_m: Float[np.ndarray, "k 3"]
+
+    def __len__(self) -> int:
+        return len(self.R)
+
+    def __getitem__(self, chosen: np.ndarray | slice) -> "Hypotheses":
+        return Hypotheses(self.R[chosen], self.t_m[chosen])
+
+    @property
+    def inverse(self) -> "Hypotheses":
+        """The motions from goal to current."""
+        R = np.ascontiguousarray(np.swapaxes(self.R, 1, 2))
+        return Hypotheses(R, -(R @ self.t_m[:, :, None])[:, :, 0])
+
+    def after(self, R_now_then: Float[np.ndarray, "3 3"], t_now_then_m: Float[np.ndarray, "3"]) -> "Hypotheses":
+        """The motions from an earlier moment to the goal, through now."""
+        return Hypotheses(self.R @ R_now_then, self.R @ t_now_then_m + self.t_m)
+
+    def perturbed(
+        self, about_m: Float[np.ndarray, "3"], R: Float[np.ndarray, "k 3 3"], shift_m: Float[np.ndarray, "k 3"]
+    ) -> "Hypotheses":
+        """Rotated about a point and shifted, on the left."""
+        t_m = (R @ (self.t_m - about_m)[:, :, None])[:, :, 0] + about_m + shift_m
+        return Hypotheses(R @ self.R, t_m)
+
+    def single(self) -> "Hypotheses":
+        """In float32, for the kernels that move points."""
+        return Hypotheses(self.R.astype(np.float32), self.t_m.astype(np.float32))
+
+    def move(self, points_m: Float[np.ndarray, "3 n"]) -> Float[np.ndarray, "k 3 n"]:
+        """Points (as columns) under all motions, in one matrix product."""
+        return rotate(self.R, points_m, self.t_m)
+
+
+def rotate(
+    R: Float[np.ndarray, "k 3 3"], points_m: Float[np.ndarray, "3 n"], t_m: Float[np.ndarray, "k 3"] | None = None
+) -> Float[np.ndarray, "k 3 n"]:
+    """Points (as columns) under k rotations, and shifted where translations are given."""
+    x = (R.reshape(-1, 3) @ points_m).reshape(len(R), 3, -1)
+    if t_m is not None:
+        x += t_m[:, :, None]
+    return x
+
+
+def non_maximum_suppression(
+    R: Float[np.ndarray, "k 3 3"], score: Float[np.ndarray, " k"], radius_rad: float, most: int | None = None
+) -> Int[np.ndarray, " n"]:
+    """Indices of the rotations of the highest score, best first, that are farther apart than ``radius_rad``.
+
+    ``most``: at most so many; None: all.
+    """
+    order = np.argsort(-score, kind="stable")
+    flat = R.reshape(-1, 9)[order].astype(np.float32)
+    near = np.float32(1 + 2 * np.cos(radius_rad))  # of the trace
+    free = np.ones(len(order), bool)
+    chosen: list[int] = []
+    while len(chosen) < (len(order) if most is None else most) and free.any():
+        first = int(np.argmax(free))
+        chosen.append(first)
+        free &= flat @ flat[first] < near
+        free[first] = False
+    return order[chosen]
