@@ -14,9 +14,9 @@ import numpy as np
 import trimesh
 import tyro
 from rich.progress import track
+from scipy.stats import binomtest
 
 from reorient import load_estimator, so3
-from reorient.reporting.rows import wilson
 from reorient.reporting.trust import RIGHT_DEG
 from reorient.runs.files import make_folder, write_table
 from reorient.world.objects import ObjectSource
@@ -91,7 +91,7 @@ def main(config: Alternatives) -> None:
             ),
             ("no alternatives", [row["alternatives"] == 0 for row in mine]),
         ):
-            low, high = wilson(sum(hits), len(hits))
+            low, high = binomtest(sum(hits), len(hits)).proportion_ci(method="wilson")
             print(f"{kind}: {what}: {np.mean(hits):.1%} ({low:.0%}-{high:.0%}) of {len(hits)}")
 
 

@@ -16,14 +16,14 @@ import numpy as np
 import trimesh
 import tyro
 from jaxtyping import Float
+from reorient.estimators.default import pose
+from reorient.registration.refine import Hypotheses, descend
 from rich.progress import track
 
 from reorient import DepthImage, load_estimator, so3
 from reorient.controller.arrival import STAYING_RAD, likeness, misfit
 from reorient.estimators.base import Estimator, RotationEstimate
-from reorient.estimators.default import pose
 from reorient.registration.evidence import View
-from reorient.registration.refine import Hypotheses, descend
 from reorient.runs.files import make_folder, write_table
 from reorient.stations.rendered import RenderedStation
 from reorient.world.objects import ObjectSource

@@ -20,17 +20,18 @@ from typing import Any
 import numpy as np
 import tyro
 from jaxtyping import Bool, Float
+from reorient.estimators.default import pose
+from reorient.registration.refine import Hypotheses, Problem
 from scipy.stats import binomtest
 
 from reorient import load_estimator
 from reorient.cli.progress import show_progress
 from reorient.errors import ReorientError
-from reorient.estimators.default import pose
 from reorient.estimators.search import EFFORTS, Effort, search
 from reorient.estimators.verifier import features, load_judge
-from reorient.experiments.evaluation import Evaluation, Row, answer_cells, measure_pairs
-from reorient.registration.refine import Hypotheses, Problem
-from reorient.reporting.rows import estimators, numbers, read_rows, wilson
+from reorient.experiments.evaluation import Evaluation, answer_cells, measure_pairs
+from reorient.reporting.rows import estimators, numbers, read_rows
+from reorient.runs.run import Row
 from reorient.world.pairs import Pair
 from reorient.world.symmetry import SymmetryGroup, symmetric_error
 
@@ -158,7 +159,7 @@ def markdown(rows: Sequence[Row]) -> str:
 
 
 def _share(right: Bool[np.ndarray, " n"]) -> str:
-    low, high = wilson(int(right.sum()), len(right))
+    low, high = binomtest(int(right.sum()), len(right)).proportion_ci(method="wilson")
     return f"{right.mean():.1%} ({100 * low:.1f}–{100 * high:.1f})"
 
 
@@ -184,7 +185,7 @@ def verdict(rows: Sequence[Row]) -> str:
     intervals = []
     for name in ("judge", "score"):
         right = numbers([row for row in rows if row["estimator"] == name], "error_sym_deg") < 5
-        intervals.append(wilson(int(right.sum()), len(right)))
+        intervals.append(binomtest(int(right.sum()), len(right)).proportion_ci(method="wilson"))
     (low, high), (other_low, other_high) = intervals
     return (
         f"judge {low:.1%} to {high:.1%}, hand-made score {other_low:.1%} to {other_high:.1%}: "

@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from reorient.estimators.default import Default, pose
+from reorient.registration.refine import BOX_POINTS, Hypotheses, descend, distinct, normal_equations, scatter
+from reorient.registration.surface import LARGEST_PX, compact
 
 from reorient import so3
 from reorient.errors import ReorientError
 from reorient.estimators import default, load_estimator
-from reorient.estimators.default import Default, pose
 from reorient.estimators.search import EFFORTS, search
 from reorient.estimators.verifier import FEATURES, Judge, features, load_judge
 from reorient.imaging import Camera, DepthImage
 from reorient.registration.normals import fit_planes
-from reorient.registration.refine import BOX_POINTS, Hypotheses, descend, distinct, normal_equations, scatter
-from reorient.registration.surface import LARGEST_PX, compact
 from reorient.reporting.explaining import in_words, picture
 from reorient.world.pairs import sample_pair
 from reorient.world.rendering import Placement, Renderer, load_world

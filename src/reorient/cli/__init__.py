@@ -16,7 +16,8 @@ VERBS = {  # by the file that holds them; only the one asked for is imported, as
     "robot": ("Demo", "Orient", "Replay", "Capture"),
     "offline": ("Objects", "Evaluate", "Report"),
     "learning": ("Generate", "Train", "Export"),
-    "judging": ("Judge",),
+    "verifier": ("Verifier",),
+    "loops": ("Loops",),
     "cell": ("Cell",),
     "reproducing": ("Reproduce",),
 }

@@ -8,6 +8,7 @@ from tyro.conf import Positional
 from reorient.cli.progress import show_progress
 from reorient.experiments.cell import run
 from reorient.experiments.cell_trials import Experiment
+from reorient.runs.pool import Pool
 
 
 @dataclass(frozen=True)
@@ -22,13 +23,13 @@ class Cell:
     out: Positional[Path]
     """Folder for config.json, rows.csv.gz, masks.csv.gz, report.html and cell.gif."""
     config: Experiment = field(default_factory=Experiment)
-    workers: int = 1
+    pool: Pool = field(default_factory=Pool)
 
     def run(self) -> None:
         """Run all trials, print the summary, write the page and the animation."""
         from reorient.reporting.cell import print_summary, write_cell_report
 
-        show_progress("trials", run(self.config, self.out, self.workers))
+        show_progress("trials", run(self.config, self.out, self.pool))
         print_summary(self.out)
         for path in write_cell_report(self.config, self.out):
             print(path)

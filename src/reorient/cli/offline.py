@@ -14,6 +14,7 @@ from reorient.cli.progress import show_progress
 from reorient.errors import ReorientError
 from reorient.experiments.evaluation import Evaluation, evaluate
 from reorient.runs.files import make_folder, replacing, write_table
+from reorient.runs.pool import Pool
 from reorient.world.objects import ObjectSet, ObjectSource, split
 
 
@@ -101,7 +102,7 @@ class Check:
     objects: ObjectSource = field(default_factory=ObjectSource)
     out: Path | None = None
     """Write the rows here (.csv.gz)."""
-    workers: int = 1
+    pool: Pool = field(default_factory=Pool)
 
     def run(self) -> None:
         """Measure, write, print percentiles."""
@@ -110,7 +111,7 @@ class Check:
         rows: list[dict[str, str]] = []
 
         def states() -> Iterator[tuple[int, int]]:
-            for row, total in describe(self.objects, self.workers):
+            for row, total in describe(self.objects, self.pool):
                 rows.append(row)
                 yield len(rows), total
 
@@ -178,15 +179,14 @@ class Evaluate:
     out: Positional[Path]
     """Folder for config.json, rows.csv.gz and table.md."""
     config: Evaluation = field(default_factory=Evaluation)
-    workers: int = 1
-    """Processes."""
+    pool: Pool = field(default_factory=Pool)
 
     def run(self) -> None:
         """Measure, then print the tables."""
         from reorient.reporting import markdown_table, print_tables, read_rows
         from reorient.runs.files import replacing
 
-        show_progress("pairs", evaluate(self.config, self.out, self.workers))
+        show_progress("pairs", evaluate(self.config, self.out, self.pool))
         rows = read_rows(self.out)
         with replacing(self.out / "table.md") as temporary:
             temporary.write_text(markdown_table(rows))

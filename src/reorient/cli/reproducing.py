@@ -1,7 +1,6 @@
 """The verb that makes the paper's figures again, with the fair comparison beside them."""
 
-import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from tyro.conf import Positional
@@ -9,6 +8,7 @@ from tyro.conf import Positional
 from reorient.cli.progress import show_progress
 from reorient.errors import ReorientError
 from reorient.reproducing import NAMES, Name
+from reorient.runs.pool import Pool
 
 
 @dataclass(frozen=True)
@@ -33,18 +33,17 @@ class Reproduce:
     """Household meshes for ``sweeps``; default: generated objects that no network was trained on."""
     only: Path | None = None
     """Names of those meshes to use."""
-    workers: int = -1
-    """Processes that draw pairs and measure; -1: one a core."""
+    pool: Pool = field(default_factory=lambda: Pool(-1))
 
     def run(self) -> None:
         """Measure what is missing, draw, print."""
         if self.name is None and not self.quick:
             raise ReorientError(f"no figure named: expected one of {', '.join(NAMES)}, or --quick for a tenth of all")
+        from reorient.reproducing.figure import load_figure
         from reorient.reproducing.making import reproduce
         from reorient.reproducing.setting import Setting
 
         share = 0.1 if self.quick else 1.0
-        workers = (os.cpu_count() or 1) if self.workers == -1 else self.workers
-        setting = Setting(self.data, self.out, self.lists, self.meshes, self.only, share, workers, show_progress)
+        setting = Setting(self.data, self.out, self.lists, self.meshes, self.only, share, self.pool, show_progress)
         for name in NAMES if self.name is None else (self.name,):
-            reproduce(name, setting)
+            reproduce(load_figure(name), setting)

@@ -7,7 +7,6 @@ again to be shown.
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +16,10 @@ from jaxtyping import Bool, Float
 from numpy.random import Generator
 
 from reorient import so3
-from reorient.controller import Fusing, OrientResult, Proportional, Step, Strategy, orient
-from reorient.errors import ReorientError, StationError, unknown_name
-from reorient.estimators import load_estimator
+from reorient.controller import OrientResult, Step, orient
+from reorient.errors import ReorientError, StationError
+from reorient.experiments.cached import cached_object
+from reorient.experiments.systems import load_system, names_of
 from reorient.imaging import DepthImage
 from reorient.perception.calibration import read_calibration
 from reorient.perception.colour import ColourRange
@@ -28,11 +28,6 @@ from reorient.world.objects import ObjectSource
 from reorient.world.statistics import is_distinctive
 
 MAX_STEPS = 50  # K of the paper's physical experiment
-STRATEGIES: dict[str, Strategy] = {
-    "algorithm1": Proportional(MAX_STEPS),  # eta = 0.2, delta = 0.5 degrees
-    "direct": Proportional(MAX_STEPS, eta=1.0),  # the whole of what is predicted, at once
-    "fusing": Fusing(MAX_STEPS),
-}
 LEAST_VISIBLE = 0.7  # of the object's silhouette, in goal and start (paper: "not significantly occluded")
 _TURNS = 200  # drawn for a start before another goal is tried
 _PLACES = 5  # goals tried
@@ -72,7 +67,7 @@ class Experiment:
     def __post_init__(self) -> None:
         """Raises ReorientError for what cannot be run."""
         for system in self.systems:
-            estimator_and_strategy(system)
+            names_of(system)
         for low, high in self.ranges_deg:
             if not 0 < low <= high <= 180:
                 raise ReorientError(f"range {low:g} to {high:g} degrees: expected 0 < low <= high <= 180")
@@ -80,15 +75,6 @@ class Experiment:
             raise ReorientError("expected at least one system, range, object and trial, and a seed from 0")
         if not (0 <= self.noise_mm < 100 and (self.slip_nm is None or self.slip_nm > 0)):
             raise ReorientError(f"noise {self.noise_mm} mm, slip at {self.slip_nm} Nm: expected noise >= 0, slip > 0")
-
-
-def estimator_and_strategy(system: str) -> tuple[str, str]:
-    """The two names of a system. Raises ReorientError for an unknown one."""
-    estimator, _, strategy = system.partition("/")
-    load_estimator(estimator)
-    if strategy not in STRATEGIES:
-        raise unknown_name(f"strategy of system {system!r}:", strategy, list(STRATEGIES))
-    return estimator, strategy
 
 
 class Witness:
@@ -144,7 +130,7 @@ def stage(
     """
     low, high = range_deg
     rng = np.random.default_rng([config.seed, zlib.crc32(name.encode()), trial, round(1000 * low), round(1000 * high)])
-    mesh = _mesh(config.source, name)
+    mesh, _ = cached_object(config.source, name)
     cell = open_cell(config, rng)
     for _ in range(_PLACES):
         cell.plant.hold(mesh, LEAST_VISIBLE)
@@ -164,9 +150,9 @@ def close_loop(
     config: Experiment, staged: Stage, system: str, subscribers: Sequence[Callable[[Step], None]] = ()
 ) -> tuple[OrientResult, list[float]]:
     """One loop from a stage, and the true angle left at each image and, last, at the end; degrees."""
-    estimator, strategy = estimator_and_strategy(system)
+    estimator, strategy = load_system(system, max_steps=MAX_STEPS)
     witness = Witness(staged.cell, staged.R_goal)
-    result = orient(witness, staged.goal, load_estimator(estimator), STRATEGIES[strategy], subscribers=subscribers)
+    result = orient(witness, staged.goal, estimator, strategy, subscribers=subscribers)
     return result, [*witness.errors_deg[: len(result.steps)], witness.error_deg()]
 
 
@@ -258,8 +244,3 @@ def _score_masks(cell: Any, image: str) -> dict[str, Any]:
 
 def _iou(mask: Bool[np.ndarray, "h w"], truth: Bool[np.ndarray, "h w"]) -> float:
     return float((mask & truth).sum() / max((mask | truth).sum(), 1))
-
-
-@lru_cache(maxsize=8)
-def _mesh(source: ObjectSource, name: str) -> trimesh.Trimesh:
-    return source.open().load(name)

@@ -7,7 +7,7 @@ A resumable run (``reorient.runs``), a task for each pair. ``evaluate`` measures
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, is_dataclass
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from reorient import so3
 from reorient.errors import ReorientError
 from reorient.estimators import load_estimator
 from reorient.estimators.base import Estimator, as_estimate
+from reorient.experiments.cached import cached_estimator, cached_object
 from reorient.runs.pool import Pool
 from reorient.runs.provenance import read_record
 from reorient.runs.run import CONFIG, Progress, Row, RowStore, Tables, resumable
@@ -25,7 +26,7 @@ from reorient.world.objects import ObjectSet, ObjectSource
 from reorient.world.pairs import Pair, sample_pair, view_overlap
 from reorient.world.rendering import Renderer, load_world
 from reorient.world.sensing import randomised
-from reorient.world.symmetry import SymmetryGroup, rotation_group, symmetric_error
+from reorient.world.symmetry import SymmetryGroup, symmetric_error
 
 COLUMNS = [
     "object",
@@ -56,6 +57,7 @@ COLUMNS = [
     "overlap",
 ]
 """Of a row; rows of before ``overlap`` was measured lack it."""
+
 
 @dataclass(frozen=True)
 class Evaluation:
@@ -148,7 +150,7 @@ def regenerate(config: Evaluation, row: Row) -> tuple[Pair, Renderer]:
 
 def _measure_pair(task: tuple[Evaluation, Measure, str, int]) -> Tables:
     config, measure, name, index = task
-    mesh, group = _object(config.objects, name)
+    mesh, group = cached_object(config.objects, name)
     renderer = Renderer(mesh)
     rows = []
     for low, high in config.ranges_deg:
@@ -186,7 +188,8 @@ def _estimates(
 ) -> list[dict[str, Any]]:
     """What each estimator answers."""
     return [
-        _estimate(own[name] if name in own else _estimator(name), pair, group, pivot_m) for name in config.estimators
+        _estimate(own[name] if name in own else cached_estimator(name), pair, group, pivot_m)
+        for name in config.estimators
     ]
 
 
@@ -220,17 +223,6 @@ def answer_cells(R: Float[np.ndarray, "3 3"], pair: Pair, group: SymmetryGroup) 
         "error_deg": f"{np.degrees(so3.angle_difference(R, pair.R_goal_current)):.5f}",
         "error_sym_deg": f"{np.degrees(symmetric_error(group, R, pair.R_goal_current, pair.R_camera_object)):.5f}",
     } | {f"q{part}": f"{x:.9f}" for part, x in zip("wxyz", so3.quat_from_matrix(R), strict=True)}
-
-
-@lru_cache(maxsize=8)
-def _object(source: ObjectSource, name: str) -> tuple[Any, SymmetryGroup]:
-    mesh = source.open().load(name)
-    return mesh, rotation_group(mesh)
-
-
-@lru_cache
-def _estimator(name: str) -> Estimator:
-    return load_estimator(name)
 
 
 def _loadable(objects: ObjectSet, most: int) -> tuple[str, ...]:

@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 
-from reorient.experiments.evaluation import Row
 from reorient.reporting.rows import numbers
 from reorient.reproducing.findings import interval
+from reorient.runs.run import Row
 
 RIVALS = (("swift", "gicp"), ("paper", "icp"))  # learned, geometric: the best of each here, then the paper's
 

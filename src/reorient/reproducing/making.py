@@ -9,17 +9,17 @@ from rich.table import Table
 
 from reorient.errors import ReorientError
 from reorient.reporting.rows import read_table
-from reorient.reproducing.figure import Figure, load_figure
+from reorient.reproducing.figure import Figure
 from reorient.reproducing.findings import HEADINGS, WORDS, Finding, cells, held, write_findings
 from reorient.reproducing.setting import Setting
 
 MOST_LINES = 80  # of a table on the screen
 
 
-def reproduce(name: str, setting: Setting) -> None:
+def reproduce(figure: Figure, setting: Setting) -> None:
     """Measure what is missing, draw, print the numbers (of a part: whether those of the whole hold)."""
     began = time.monotonic()
-    figure, folder = load_figure(name), setting.folder(name)
+    name, folder = figure.name, setting.folder(figure.name)
     if setting.quick and any(folder.rglob("*.csv.gz")):
         print(f"{name}: compares the rows that are in {folder}; remove them to measure anew", flush=True)
     figure.measure(setting)
@@ -27,7 +27,7 @@ def reproduce(name: str, setting: Setting) -> None:
     write_findings(findings, folder / "numbers.csv")
     written = figure.draw(setting, folder)
     if setting.quick:
-        print(*verdicts(name, findings, figure, setting.out / name, folder), sep="\n")
+        print(*verdicts(figure, findings, setting.out / name, folder), sep="\n")
     else:
         _print(name, findings)
     print(f"{name}: {(time.monotonic() - began) / 60:.1f} minutes; {written[-1]}", flush=True)
@@ -45,11 +45,12 @@ def _print(name: str, findings: Sequence[Finding]) -> None:
     Console(width=max(Console().width, 160)).print(table)
 
 
-def verdicts(name: str, part: Sequence[Finding], figure: Figure, whole: Path, folder: Path) -> list[str]:
+def verdicts(figure: Figure, part: Sequence[Finding], whole: Path, folder: Path) -> list[str]:
     """In lines: the figure as a whole, then each number that differs.
 
     ``whole``: the folder with the rows of the whole figure; ``folder``: with those of the part.
     """
+    name = figure.name
     try:
         full = {finding.what: finding for finding in figure.findings(whole)}
     except ReorientError as error:

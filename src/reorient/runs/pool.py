@@ -25,8 +25,8 @@ class Pool:
     workers: int = 1
     """Number of worker processes; -1: one per core."""
     backend: Backend = "processes"
-    """Where they run: on this machine, or on a Ray cluster (extra ``cluster``), which is started here unless RAY_ADDRESS
-    names one."""
+    """Where they run: on this machine, or on a Ray cluster (extra ``cluster``), which is started here unless
+    RAY_ADDRESS names one."""
 
     def __post_init__(self) -> None:
         """Raises ReorientError for a number of workers other than -1, 1, 2, ..."""

@@ -9,7 +9,7 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from filelock import FileLock, Timeout
 
@@ -25,12 +25,14 @@ Tables = dict[str, list[Row]]
 Progress = Iterator[tuple[int, int]]
 """Yields (tasks done, tasks in all)."""
 Result = TypeVar("Result")
+Kept = TypeVar("Kept", contravariant=True)
 
 CONFIG = "config.json"
 LOCK = ".lock"
 
 
-class Store(Protocol[Result]):
+@runtime_checkable
+class Store(Protocol[Kept]):
     """Where the results of a run's tasks are kept."""
 
     def finished(self, folder: Path) -> bool:
@@ -41,7 +43,7 @@ class Store(Protocol[Result]):
         """The tasks whose results are in the folder."""
         ...
 
-    def keep(self, folder: Path, task: str, result: Result) -> None:
+    def keep(self, folder: Path, task: str, result: Kept) -> None:
         """Keep one result at once."""
         ...
 

@@ -1,4 +1,4 @@
-"""The judge's verbs: make its data, train it."""
+"""The verifier's verbs: make its data, train it."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -8,43 +8,48 @@ from tyro.conf import Positional, subcommand
 
 from reorient.cli.learning import require
 from reorient.cli.progress import show_progress
-from reorient.learning.verifier import JudgeData
+from reorient.learning.verifier import VerifierData
+from reorient.runs.pool import Pool
 
 
 @dataclass(frozen=True)
 class Make:
-    """Write hypotheses of known error, a file for a few objects. An interrupted run goes on where it stopped.
+    """Generate hypotheses of known error to train the verifier on, a file for a few objects.
 
-    For example: reorient judge make out/judge --count 5000 --workers 2
+    An interrupted run continues where it stopped.
+
+    Examples:
+        reorient verifier make out/verifier --count 5000 --workers 2
     """
 
     out: Positional[Path]
-    """Folder for the shards."""
-    config: JudgeData = field(default_factory=JudgeData)
-    workers: int = 1
+    """Folder for config.json and the shards."""
+    config: VerifierData = field(default_factory=VerifierData)
+    pool: Pool = field(default_factory=Pool)
 
     def run(self) -> None:
-        """All shards that are missing."""
+        """Make all shards that are missing."""
         from reorient.learning.verifier import make
 
-        show_progress("shards", make(self.config, self.out, self.workers))
+        show_progress("shards", make(self.config, self.out, self.pool))
 
 
 @dataclass(frozen=True)
 class Train:
-    """Train the judge on a folder of shards (needs the extra ``train``); prints what it is worth on others.
+    """Train the verifier on generated hypotheses (extra ``train``), and print its figures on held-out objects.
 
-    For example: reorient judge train out/judge out/judge.npz
+    Examples:
+        reorient verifier train out/verifier out/verifier.npz
     """
 
     data: Positional[Path]
-    """What ``reorient judge make`` wrote."""
+    """Folder of ``reorient verifier make``."""
     out: Positional[Path]
     """File to write (.npz)."""
     fast: Path | None = None
-    """What it wrote of other objects with ``--effort fast``, to calibrate that."""
+    """Folder of other objects with ``--effort fast``, to calibrate that effort."""
     thorough: Path | None = None
-    """The same with ``--effort thorough``."""
+    """Folder of other objects with ``--effort thorough``, to calibrate that effort."""
 
     def run(self) -> None:
         """Read, train, write, print."""
@@ -58,8 +63,8 @@ class Train:
 
 
 @dataclass(frozen=True)
-class Judge:
-    """Make the judge's data; train it."""
+class Verifier:
+    """Make the verifier's data; train it."""
 
     verb: Annotated[Make, subcommand("make")] | Annotated[Train, subcommand("train")]
 

@@ -1,0 +1,42 @@
+"""The verb loops: closed loops in simulation."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from tyro.conf import Positional
+
+from reorient.cli.progress import show_progress
+from reorient.experiments import loops
+from reorient.runs.pool import Pool
+
+
+@dataclass(frozen=True)
+class Loops:
+    """Measure closed loops of simulated stations: final errors, moves and false claims of success.
+
+    An interrupted run continues where it stopped.
+
+    Examples:
+        reorient loops out/loops --objects 10 --trials 5
+        reorient loops out/faults --start-deg any --faults 0.08 --systems default/fusing
+        reorient loops out/paper --start-deg 30 --systems paper/algorithm1 gicp/algorithm1
+    """
+
+    out: Positional[Path]
+    """Folder for config.json, rows.csv.gz and table.md."""
+    config: loops.Loops = field(default_factory=loops.Loops)
+    pool: Pool = field(default_factory=Pool)
+
+    def run(self) -> None:
+        """Run all loops, print the summary."""
+        from rich.console import Console
+
+        from reorient.reporting.loop_tables import loop_table, markdown_loops, read_loop_rows
+        from reorient.runs.files import replacing
+
+        show_progress("trials", loops.run_loops(self.config, self.out, self.pool))
+        rows = read_loop_rows(self.out)
+        with replacing(self.out / "table.md") as temporary:
+            temporary.write_text(markdown_loops(rows))
+        Console(width=max(Console().width, 140)).print(loop_table(rows))
+        print(self.out / "rows.csv.gz")
