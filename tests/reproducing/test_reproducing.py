@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
-from reorient.experiments.loops import COLUMNS
 
 from reorient import so3
 from reorient.cli import main
 from reorient.errors import ReorientError
 from reorient.estimators import load_estimator
+from reorient.experiments.loops import COLUMNS
 from reorient.reporting.rows import read_table
 from reorient.reproducing import NAMES
 from reorient.reproducing.best_worst import BestWorst

@@ -193,4 +193,6 @@ def _chosen(config: Loops) -> list[str]:
     if config.symmetric:
         among = names[: _SYMMETRIC_AMONG * config.objects]
         names = [name for name in among if not is_distinctive(objects.load(name))]
+        if not names:
+            raise ReorientError(f"none of {len(among)} objects has a symmetry: expected other objects, or more")
     return names[: config.objects]
