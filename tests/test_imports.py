@@ -13,8 +13,9 @@ SOURCE = Path(__file__).parent.parent / "src" / "reorient"
 
 # A package (or top-level module) imports only those listed before it.
 ORDER = [
-    *("errors", "so3", "se3", "plugins", "runs", "imaging", "world", "registration", "estimators", "controller"),
-    *("perception", "stations", "learning", "experiments", "reporting", "reproducing", "viewing", "cli", "__main__"),
+    *("errors", "formatting", "so3", "se3", "plugins", "runs", "imaging", "world", "registration", "estimators"),
+    *("controller", "perception", "stations", "learning", "experiments", "reporting", "reproducing", "viewing"),
+    *("cli", "__main__"),
     "",  # the package itself
 ]
 # What a package must not reach, directly or through any other module: by prefix, with exceptions.

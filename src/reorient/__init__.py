@@ -1,14 +1,20 @@
-"""Turn a never-seen object to match a picture.
+"""Rotate an object that nobody has modelled until it matches a goal image.
 
 >>> from reorient import Camera, DepthImage, load_estimator, orient
+
+A name is imported when it is first used, so that ``import reorient`` is fast.
 """
 
-from reorient.controller import Fusing, Limits, OrientResult, Proportional, Step, orient
-from reorient.controller.station import Station
-from reorient.errors import ReorientError, StationError
-from reorient.estimators import load_estimator
-from reorient.estimators.base import Estimator, RotationEstimate
-from reorient.imaging import Camera, DepthImage
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from reorient.controller import Fusing, Limits, OrientResult, Proportional, Step, orient
+    from reorient.controller.station import Station
+    from reorient.errors import ReorientError, StationError
+    from reorient.estimators import load_estimator
+    from reorient.estimators.base import Estimator, RotationEstimate
+    from reorient.imaging import Camera, DepthImage
 
 __version__ = "0.1.0.dev0"
 __all__ = [
@@ -27,3 +33,24 @@ __all__ = [
     "load_estimator",
     "orient",
 ]
+_MODULES = {
+    "controller": ("Fusing", "Limits", "OrientResult", "Proportional", "Step", "orient"),
+    "controller.station": ("Station",),
+    "errors": ("ReorientError", "StationError"),
+    "estimators": ("load_estimator",),
+    "estimators.base": ("Estimator", "RotationEstimate"),
+    "imaging": ("Camera", "DepthImage"),
+}
+_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module 'reorient' has no attribute {name!r}")
+    value = getattr(import_module(f"reorient.{_MODULE_OF[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

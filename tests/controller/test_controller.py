@@ -10,7 +10,7 @@ from reorient import Proportional, StationError, load_estimator, orient, so3
 from reorient.errors import ReorientError
 from reorient.estimators.base import RotationEstimate
 from reorient.imaging import DepthImage
-from reorient.registration.evidence import Evidence
+from reorient.registration import Evidence
 from reorient.stations.rendered import RenderedStation
 from reorient.world.rendering import load_world
 from reorient.world.sensing import randomised
@@ -177,7 +177,7 @@ def test_any_object_with_the_fields_of_an_estimate_will_do(cell, confidence):
     result = orient(station, goal, Plain(station, R_goal))
     assert result.converged
     assert left_deg(station, R_goal) < 0.5
-    assert result.steps[-1].estimate.evidence.fit > 0.9
+    assert result.steps[-1].estimate.evidence.inlier_ratio > 0.9
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from reorient.controller.fusing import LEAST_LIKENESS
 from reorient.controller.limits import nearest_reachable
 from reorient.errors import ReorientError
 from reorient.estimators.base import RotationEstimate
-from reorient.registration.evidence import Evidence
+from reorient.registration import Evidence
 from reorient.stations.faulty import FaultyStation
 from reorient.stations.rendered import RenderedStation
 from reorient.world.rendering import load_world

@@ -56,7 +56,7 @@ def test_the_translation_brings_the_object_to_the_goal(name):
         estimate = load_estimator(name).estimate(current, goal, pivot_m)
         moved = estimate.R_goal_current @ pivot_m + estimate.t_goal_current_m
         assert np.allclose(moved, pivot_m, atol=1e-9)
-        assert estimate.evidence.fit > 0.2
+        assert estimate.evidence.inlier_ratio > 0.2
         assert so3.angle(R) == pytest.approx(np.radians(10))
 
 

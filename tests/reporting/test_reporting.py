@@ -388,7 +388,7 @@ def test_loop_refuses(tmp_path, loop):
 
 def test_evidence_in_words(loop):
     evidence = loop[1].steps[0].estimate.evidence
-    against = evidence.in_front + evidence.outside
+    against = evidence.free_space_violation + evidence.silhouette_violation
     assert evidence_in_words(evidence).startswith(
-        f"{evidence.fit:.0%} fits (rms {1000 * evidence.residual_m:.1f} mm), {against:.0%} contradicts"
+        f"{evidence.inlier_ratio:.0%} inliers (rms {1000 * evidence.residual_m:.1f} mm), {against:.0%} violations"
     )

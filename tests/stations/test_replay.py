@@ -8,7 +8,7 @@ import pytest
 from reorient import Fusing, Limits, Proportional, StationError, orient, so3
 from reorient.errors import ReorientError
 from reorient.estimators.base import RotationEstimate
-from reorient.registration.evidence import Evidence
+from reorient.registration import Evidence
 from reorient.stations.faulty import FaultyStation
 from reorient.stations.rendered import RenderedStation
 from reorient.stations.replay import RecordingStation, ReplayedStation

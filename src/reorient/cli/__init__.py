@@ -1,60 +1,58 @@
-"""The command line: one verb per capability. Errors are one line on standard error and exit code 2."""
+"""The command line: one verb per capability. Errors are one line on standard error."""
 
-import contextlib
-import io
-import re
+import os
 import sys
-from importlib import import_module
-from typing import Any
 
-import tyro
-
+from reorient import __version__
+from reorient.cli.arguments import parse
+from reorient.cli.verbs import VERBS, find, overview
 from reorient.errors import ReorientError
 
-VERBS = {  # by the file that holds them; only the one asked for is imported, as others take meshes and rays with them
-    "estimating": ("Estimate",),
-    "robot": ("Demo", "Orient", "Replay", "Capture"),
-    "offline": ("Objects", "Evaluate", "Report"),
-    "learning": ("Generate", "Train", "Export"),
-    "verifier": ("Verifier",),
-    "loops": ("Loops",),
-    "cell": ("Cell",),
-    "reproducing": ("Reproduce",),
-}
+USAGE = """usage: reorient VERB [arguments] [options]
+
+Rotate an object that was never seen before until it matches a depth image.
+"""
+END = """
+options:
+  -h, --help       Show this help, or that of a verb, and exit.
+  --version        Show the version and exit.
+
+exit codes:
+  0 success, 1 the loop did not converge, 2 bad input or a failed device, 130 interrupted"""
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Parse and run; ends with code 0, 2 (bad input) or 130 (interrupted)."""
+    """Parse and run. Returns after success, else raises SystemExit with the codes that ``reorient --help`` lists."""
     try:
-        _parse(sys.argv[1:] if arguments is None else arguments).run()
+        try:
+            code = _run(sys.argv[1:] if arguments is None else arguments)
+        finally:
+            sys.stdout.flush()  # here, as a closed pipe cannot be caught when the interpreter ends
     except ReorientError as error:
-        print("reorient:", *map(str.strip, str(error).splitlines()), file=sys.stderr)  # a station may say several lines
+        print("reorient:", *map(str.strip, str(error).splitlines()), file=sys.stderr)  # user code may raise several
         sys.exit(2)
-    except OSError as error:  # a full disk, a closed pipe
+    except BrokenPipeError:  # the reader of the output has enough (reorient ... | head)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(141)  # 128 + SIGPIPE
+    except OSError as error:  # a full disk
         print(f"reorient: {error.strerror or error} {error.filename or ''}".strip(), file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
         print("reorient: interrupted", file=sys.stderr)
         sys.exit(130)
+    if code:
+        sys.exit(code)
 
 
-def _parse(arguments: list[str]) -> Any:
-    """The verb with its options. Raises ReorientError where tyro prints a box of several lines."""
-    asked = [file for file, verbs in VERBS.items() if arguments and arguments[0].capitalize() in verbs]
-    modules = {file: import_module(f"reorient.cli.{file}") for file in asked or VERBS}
-    said = io.StringIO()
-    try:
-        with contextlib.redirect_stderr(said):
-            return tyro.extras.subcommand_cli_from_dict(
-                {verb.lower(): getattr(module, verb) for file, module in modules.items() for verb in VERBS[file]},
-                prog="reorient",
-                description="Turn a never-seen object to match a picture.",
-                args=arguments,
-                config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
-            )
-    except SystemExit as ended:
-        if ended.code != 2:
-            raise
-        words = " ".join(re.sub(r"[\u2500-\u257f]|-{9,}", " ", said.getvalue()).split())
-        words = re.sub(r"^Value error Error parsing (?!--)\S+: ", "", words)  # a config's own refusal, not a flag's
-        raise ReorientError(words.partition(" For full helptext")[0] + " (see --help)") from ended
+def _run(words: list[str]) -> int | None:
+    """The exit code of a command line."""
+    if not words:
+        raise ReorientError("no verb given (see reorient --help)")
+    if words[0] == "--version":
+        print("reorient", __version__)
+        return 0
+    name = find(words)
+    if name is None:
+        print(USAGE + overview(words[0] if len(words) > 1 else "") + "\n" + END)
+        return 0
+    return parse(VERBS[name].load(), f"reorient {name}", words[len(name.split()) :]).run()

@@ -3,8 +3,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tyro.conf import Positional
-
+from reorient.cli.arguments import Positional
 from reorient.cli.progress import show_progress
 from reorient.experiments.cell import run
 from reorient.experiments.cell_trials import Experiment
@@ -13,11 +12,14 @@ from reorient.runs.pool import Pool
 
 @dataclass(frozen=True)
 class Cell:
-    """The paper's experiment on physical objects, in a simulated cell: arm, gripper, two cameras, segmentation. An
-    interrupted run goes on where it stopped.
+    """Run the experiment with physical objects in a simulated robot cell.
 
-    For example, three trials: reorient cell out/cell --objects 3 --trials 1
-    or, larger starts: reorient cell out/far --ranges-deg 30 90 90 180 --systems gicp/direct
+    The cell has an arm, a gripper and two cameras; the gripper is removed from the images by segmentation. An
+    interrupted run continues where it stopped.
+
+    Examples:
+        reorient cell out/cell --objects 3 --trials 1
+        reorient cell out/far --ranges-deg 30 90 90 180 --systems gicp/direct
     """
 
     out: Positional[Path]

@@ -1,39 +1,44 @@
 """The verb estimate: the rotation between two image files, and how their frames are read."""
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import numpy as np
-from tyro.conf import Positional
 
+from reorient import so3
+from reorient.cli.arguments import Metavar, Positional
 from reorient.errors import ReorientError
+from reorient.formatting import format_number, format_probability, format_share
 
 if TYPE_CHECKING:
     from reorient.estimators.base import RotationEstimate
     from reorient.imaging import Camera, DepthImage
+    from reorient.registration import Evidence
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True)
 class Frames:
-    """How raw camera frames become images of one isolated object. One value serves both images, two are for CURRENT
-    and GOAL; '-' is none (--near 0.3 -)."""
+    """Reading and isolation of the images.
 
-    camera: tuple[str, ...] = ()
-    """Intrinsics JSON (reorient, Open3D or RealSense style); not needed where the image file states its camera."""
-    depth_scale: tuple[float, ...] = ()
-    """Metres per unit of integer depth; default: what the file states, else 0.001."""
-    mask: tuple[str, ...] = ()
-    """Picture or .npy, not zero on the object."""
-    box: tuple[int, ...] = ()
-    """Left, top, width, height in px: keep what is inside; four numbers, or eight."""
-    near: tuple[str, ...] = ()
-    """Keep returns at least this far, m."""
-    far: tuple[str, ...] = ()
-    """Keep returns at most this far, m."""
+    One value is for both images, two are for CURRENT and GOAL; '-' is none, as in --near 0.3 -
+    """
+
+    camera: Annotated[tuple[str, ...], Metavar("PATH")] = ()
+    """Intrinsics as JSON of reorient, Open3D or RealSense, not needed where the image file has its camera."""
+    depth_scale: Annotated[tuple[float, ...], Metavar("M")] = ()
+    """Metres per unit of integer depth, by default the value in the file, else 0.001."""
+    mask: Annotated[tuple[str, ...], Metavar("PATH")] = ()
+    """Image or .npy array that is not zero on the object."""
+    box: Annotated[tuple[int, ...], Metavar("PX")] = ()
+    """Left, top, width and height of the box that holds the object: four numbers, or eight for two boxes."""
+    near: Annotated[tuple[str, ...], Metavar("M")] = ()
+    """Smallest depth of the object."""
+    far: Annotated[tuple[str, ...], Metavar("M")] = ()
+    """Largest depth of the object."""
 
     def read(self, path: Path, which: int) -> "DepthImage":
         """The isolated image; ``which``: 0 current, 1 goal."""
@@ -75,24 +80,29 @@ def _metres(values: tuple[str, ...], which: int, flag: str) -> float | None:
 
 @dataclass(frozen=True)
 class Estimate:
-    """The rotation that turns the object in CURRENT into the one in GOAL (camera axes: x right, y down, z forward).
+    """Estimate the rotation between two depth images of one object.
 
-    For example: reorient estimate now.npz goal.npz
-    or, raw frames: reorient estimate now.png goal.png --camera camera.json --box 200 120 256 256 --far 0.9
+    The rotation takes the object from its pose in CURRENT to its pose in GOAL, in camera axes: x right, y down,
+    z forward.
+
+    Examples:
+        reorient estimate now.npz goal.npz
+        reorient estimate now.png goal.png --camera camera.json --box 200 120 256 256 --far 0.9
     """
 
     current: Positional[Path]
-    """Depth image now: .png, .tif, .npy or .npz."""
+    """Depth image of the object as it is now: .png, .tif, .npy or .npz."""
     goal: Positional[Path]
-    """Depth image as desired."""
+    """Depth image of the object as it should be."""
     frames: Frames = field(default_factory=Frames)
     estimator: str = "default"
-    pivot: tuple[float, float, float] | None = None
-    """Rotation centre in camera axes, m, good to about 1 cm, if known."""
+    """Name of the estimator, an .onnx file, or a class of your own as module:Class."""
+    pivot: Annotated[tuple[float, float, float] | None, Metavar(("X", "Y", "Z"))] = None
+    """Rotation centre in camera axes, in metres, if known to about 1 cm."""
     json: bool = False
-    """Print one JSON object instead of words."""
+    """Print a JSON object instead of text."""
     explain: Path | None = None
-    """Draw current, goal, current turned by the answer, and where they disagree (.png, .jpg)."""
+    """Draw both images and the evidence for the estimate (.png, .jpg)."""
 
     def run(self) -> None:
         """Read, isolate, estimate, print, draw."""
@@ -113,41 +123,64 @@ class Estimate:
 
             with replacing(self.explain) as temporary:
                 picture(current, goal, estimate).save(temporary)
-        print(json.dumps(_as_data(estimate), indent=2) if self.json else _in_words(estimate))
+        print(json.dumps(as_data(estimate), indent=2) if self.json else in_words(estimate))
 
 
-def _as_data(estimate: "RotationEstimate") -> dict[str, Any]:
-    from dataclasses import asdict
-
-    from reorient import so3
-
-    evidence = {k: None if v != v else v for k, v in asdict(estimate.evidence).items()}  # JSON has no NaN
+def as_data(estimate: "RotationEstimate") -> dict[str, Any]:
+    """The estimate as JSON has it, with the names of the Python interface."""
+    evidence = estimate.evidence
+    shares = asdict(evidence) | {"covisible_inlier_ratio": evidence.covisible_inlier_ratio, "score": evidence.score}
     return {
-        "quat_wxyz": estimate.quat_wxyz.tolist(),
-        "angle_deg": float(np.degrees(estimate.angle_rad)),
-        "axis": so3.quat_axis(estimate.quat_wxyz).tolist(),
         "R_goal_current": estimate.R_goal_current.tolist(),
         "t_goal_current_m": estimate.t_goal_current_m.tolist(),
-        "covariance_rad2": None if estimate.covariance_rad2 is None else estimate.covariance_rad2.tolist(),
+        "quat_wxyz": estimate.quat_wxyz.tolist(),
+        "rotvec_rad": estimate.rotvec_rad.tolist(),
+        "angle_deg": float(np.degrees(estimate.angle_rad)),
+        "axis": so3.quat_axis(estimate.quat_wxyz).tolist(),
         "confidence": estimate.confidence,
         "alternatives": [{"R_goal_current": R.tolist(), "probability": p} for R, p in estimate.alternatives],
-        "evidence": evidence | {"score": estimate.evidence.score},
+        "covariance_rad2": None if estimate.covariance_rad2 is None else estimate.covariance_rad2.tolist(),
+        "evidence": {name: None if x != x else x for name, x in shares.items()},  # JSON has no NaN
     }
 
 
-def _in_words(estimate: "RotationEstimate") -> str:
-    from reorient.reporting.explaining import in_words
+def in_words(estimate: "RotationEstimate") -> str:
+    """The estimate as text, a line for each part."""
+    evidence, rows = estimate.evidence, estimate.R_goal_current
+    lines = [
+        f"rotation      {_rotation(estimate.R_goal_current)} (camera axes)",
+        f"quaternion    {_vector(estimate.quat_wxyz, 6)} (wxyz)",
+        *(f"{'' if i else 'matrix':13s} {' '.join(f'{x:9.6f}' for x in row)}" for i, row in enumerate(rows)),
+        f"translation   {_vector(estimate.t_goal_current_m, 4)} m",
+        f"confidence    {confidence_in_words(estimate.confidence)}",
+        f"inliers       {inliers_in_words(evidence)}, residual {format_number(1000 * evidence.residual_m)} mm",
+        f"violations    {format_share(evidence.free_space_violation)} of free space, "
+        f"{format_share(evidence.silhouette_violation)} of the silhouette",
+        f"occluded      {format_share(evidence.occluded)}",
+    ]
+    for R, probability in estimate.alternatives:
+        away = _rotation(R @ estimate.R_goal_current.T)
+        lines.append(f"alternative   {format_probability(probability)}: the estimate rotated by {away}")
+    return "\n".join(lines)
 
-    data, evidence = _as_data(estimate), estimate.evidence
-    rows = "\n           ".join(" ".join(f"{x:9.6f}" for x in row) for row in data["R_goal_current"])
-    return "\n".join(
-        [
-            f"angle      {data['angle_deg']:.3f} degrees about [{' '.join(f'{x:.4f}' for x in data['axis'])}]",
-            f"wxyz       {' '.join(f'{x:.6f}' for x in data['quat_wxyz'])}",
-            f"matrix     {rows}",
-            f"confidence {in_words(estimate)}",
-            f"evidence   {evidence.inlier_ratio:.0%} inliers (rms {1000 * evidence.residual_m:.2f} mm), "
-            f"{evidence.free_space_violation:.0%} free-space violations, "
-            f"{evidence.silhouette_violation:.0%} silhouette violations, {evidence.occluded:.0%} occluded",
-        ]
-    )
+
+def confidence_in_words(confidence: float | None) -> str:
+    """The probability that the error is small, or why there is none."""
+    if confidence is None:
+        return "not available (estimator is not calibrated)"
+    return f"{format_probability(confidence)} (error below 5 deg)"
+
+
+def inliers_in_words(evidence: "Evidence") -> str:
+    """The share of inliers among all points and among those that both cameras see."""
+    covisible = format_share(evidence.covisible_inlier_ratio)
+    return f"{format_share(evidence.inlier_ratio)} ({covisible} of co-visible points)"
+
+
+def _rotation(R: np.ndarray) -> str:
+    quat_wxyz = so3.quat_from_matrix(R)
+    return f"{np.degrees(so3.angle(R)):.2f} deg about {_vector(so3.quat_axis(quat_wxyz), 4)}"
+
+
+def _vector(values: np.ndarray, decimals: int) -> str:
+    return f"[{' '.join(f'{x:.{decimals}f}' for x in values)}]"

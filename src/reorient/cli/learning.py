@@ -4,13 +4,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Annotated
 
-import tyro
-from tyro.conf import Positional
-
+from reorient.cli.arguments import Positional, Presets
 from reorient.cli.progress import show_progress
 from reorient.errors import ReorientError
-from reorient.learning.recipes import PRESETS, NetworkName
+from reorient.learning.recipes import PRESETS, NetworkName, Training
 from reorient.runs.files import make_folder
 from reorient.runs.pool import Pool
 from reorient.world.pairs import PairSet
@@ -24,26 +23,29 @@ def require(extra: str, *modules: str) -> None:
 
 @dataclass(frozen=True)
 class Generate:
-    """Draw pairs of depth images with known rotations, and store them. An interrupted run goes on where it stopped.
+    """Generate pairs of depth images with known rotations for training.
 
-    For example, the paper's full set: reorient generate data/full --count 872 --object-seed 2020
-    or, of one's own meshes: reorient generate data/own --meshes my_meshes --pairs-per-object 400
+    The first line of the output states duration and size. An interrupted run can be continued.
+
+    Examples:
+        reorient generate data/full --count 872 --object-seed 2020
+        reorient generate data/own --meshes my_meshes --pairs-per-object 400
     """
 
     out: Positional[str]
-    """Folder, or fsspec URL (s3://..., gs://...), to write to."""
+    """Folder or fsspec URL (s3://..., gs://...) to write to."""
     config: PairSet = field(default_factory=PairSet)
     pool: Pool = field(default_factory=lambda: Pool(-1))
 
     def run(self) -> None:
-        """Say what it will take, then draw."""
+        """Print duration and size, then generate."""
         require("train", "zarr")
         from reorient.learning.pair_store import estimate_cost, generate
 
         cost = estimate_cost(self.config, self.out, self.pool)
         free = "" if cost.free_bytes is None else f" of {cost.free_bytes / 1e9:.0f} GB free"
         print(
-            f"{cost.pairs} pairs: about {cost.seconds / 60:.1f} minutes and {cost.bytes / 1e9:.2f} GB{free}.",
+            f"{cost.pairs} pairs: about {cost.seconds / 60:.1f} minutes and {cost.bytes / 1e9:.2f} GB{free}",
             flush=True,
         )
         states = generate(self.config, self.out, self.pool)
@@ -53,25 +55,29 @@ class Generate:
 
 @dataclass(frozen=True)
 class Train:
-    """Train a network on stored pairs. An interrupted run goes on exactly where it stopped.
+    """Train a network on generated pairs.
 
-    For example, the paper's recipe: reorient train data/full runs/paper paper
-    or, ours on one's own meshes: reorient train data/own runs/own --warm-start swift.safetensors swift --epochs 10
-    on several machines: torchrun --nnodes 2 --nproc-per-node 2 ... -m reorient train data/full runs/paper paper
+    RECIPE chooses the settings that the options then change. An interrupted run continues exactly where it stopped.
+
+    Examples:
+        reorient train data/full runs/paper paper
+        reorient train data/own runs/own swift --warm-start swift.safetensors --epochs 10
+        torchrun --nnodes 2 --nproc-per-node 2 -m reorient train data/full runs/paper paper
     """
 
     pairs: Positional[str]
-    """What ``reorient generate`` wrote."""
+    """Folder or URL that ``reorient generate`` wrote."""
     out: Positional[Path]
-    """Folder for the run."""
-    recipe: tyro.extras.subcommand_type_from_defaults(PRESETS) = PRESETS["paper"]  # type: ignore[valid-type]
+    """Folder for the weights, the log and the configuration."""
+    recipe: Annotated[Training, Presets(PRESETS)] = PRESETS["paper"]
+    """Settings of the training: paper, swift or debug."""
     warm_start: Path | None = None
-    """Weights to begin with (.safetensors)."""
+    """Weights to start from (.safetensors or .onnx)."""
     threads: int | None = None
-    """Of torch, in each process; default: its own choice."""
+    """Number of threads of torch in each process, by default its own choice."""
 
     def run(self) -> None:
-        """Train, showing loss and validation error."""
+        """Train, and print loss and validation error of each epoch."""
         require("train", "torch", "lightning_fabric", "zarr", "safetensors", "tensorboard")
         import torch
 
@@ -84,7 +90,7 @@ class Train:
             validation = ""
             for state in train(self.recipe, self.pairs, self.out, self.warm_start):
                 if state.validation_deg is not None:
-                    validation = f", validation {state.validation_deg:.2f} degrees"
+                    validation = f", validation {state.validation_deg:.2f} deg"
                     print(
                         f"epoch {state.epoch + 1}: loss {state.loss:.5f}{validation}{' (best)' * state.best}",
                         flush=True,
@@ -100,21 +106,23 @@ class Train:
 
 @dataclass(frozen=True)
 class Export:
-    """Trained weights as ONNX, which the estimators run.
+    """Convert trained weights to ONNX, which the estimators read.
 
-    For example: reorient export runs/swift/best.safetensors swift.onnx --network swift --compact
+    Examples:
+        reorient export runs/swift/best.safetensors swift.onnx --network swift --compact
     """
 
     weights: Positional[Path]
-    """Weights of a run (.safetensors)."""
+    """Weights of a training run (.safetensors)."""
     out: Positional[Path]
     """File to write (.onnx)."""
     network: NetworkName = "paper"
+    """Network that the weights are of."""
     compact: bool = False
-    """Store the weights as float16; the arithmetic stays float32."""
+    """Store the weights as float16, for half the size. The arithmetic stays float32."""
 
     def run(self) -> None:
-        """Write."""
+        """Read and write."""
         require("train", "torch", "onnx", "onnxscript", "safetensors")
         from reorient.learning.export import export
 

@@ -3,17 +3,17 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tyro.conf import Positional
-
-from reorient.cli.progress import show_progress
+from reorient.cli.arguments import Positional
+from reorient.cli.progress import show_progress, table_console
 from reorient.experiments import loops
 from reorient.runs.pool import Pool
 
 
 @dataclass(frozen=True)
 class Loops:
-    """Measure closed loops of simulated stations: final errors, moves and false claims of success.
+    """Measure closed loops at simulated stations.
 
+    The summary has final errors, moves, and how many loops are unsure or converge falsely.
     An interrupted run continues where it stopped.
 
     Examples:
@@ -29,8 +29,6 @@ class Loops:
 
     def run(self) -> None:
         """Run all loops, print the summary."""
-        from rich.console import Console
-
         from reorient.reporting.loop_tables import loop_table, markdown_loops, read_loop_rows
         from reorient.runs.files import replacing
 
@@ -38,5 +36,5 @@ class Loops:
         rows = read_loop_rows(self.out)
         with replacing(self.out / "table.md") as temporary:
             temporary.write_text(markdown_loops(rows))
-        Console(width=max(Console().width, 140)).print(loop_table(rows))
+        table_console().print(loop_table(rows))
         print(self.out / "rows.csv.gz")

@@ -1,159 +1,111 @@
-"""The robot's verbs: demo, orient, replay, capture."""
+"""The verbs of the closed loop: orient, replay."""
 
-from dataclasses import dataclass, field
+import sys
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from tyro.conf import Positional
 
 from reorient import __version__
-from reorient.cli.estimating import Frames
+from reorient.cli.arguments import Positional
+from reorient.cli.estimating import Frames, confidence_in_words
+from reorient.cli.stations import StationChoice
 from reorient.errors import ReorientError
 from reorient.runs.files import make_folder
 
 if TYPE_CHECKING:
-    from reorient.controller import Limits, Strategy
-    from reorient.controller.station import Station
-    from reorient.estimators.base import Estimator
-    from reorient.imaging import DepthImage
+    from reorient.controller import Limits, OrientResult, Step, Strategy
+
+EXIT_CODES = {"converged": 0, "dry_run": 0, "interrupted": 130}  # of the other statuses: 1
 
 
 @dataclass(frozen=True)
-class StationChoice:
-    """Which station, and what the rendered one shows."""
+class StrategyChoice:
+    """The strategy."""
 
-    station: str = "rendered"
-    """'rendered', or your own: my_module:MyStation (importable from here, made with no arguments)."""
-    object_index: int = 0
-    """Rendered: which generated object."""
-    pose_seed: int = 0
-    """Rendered: seeds its orientation and place."""
-    turn_deg: float = 0.0
-    """Rendered: turned this far away from that orientation, about a random axis."""
-    noise_mm: float = 0.0
-    """Rendered: depth noise."""
+    strategy: str = "auto"
+    """One of fusing, algorithm1, direct and auto, which is fusing for a calibrated estimator and else algorithm1."""
+    max_images: int | None = None
+    """Largest number of images, by default the strategy's own."""
+    eta: float | None = None
+    """Share of the estimated rotation that algorithm1 makes at once, by default 0.2."""
+    delta_deg: float | None = None
+    """Estimated angle at which algorithm1 has converged, by default 0.5."""
 
-    def open(self) -> "Station":
-        """The station, ready."""
-        from reorient import so3
-        from reorient.stations import load_station
-        from reorient.stations.rendered import RenderedStation
-        from reorient.world.objects import generated
-        from reorient.world.rendering import load_world
-        from reorient.world.sensing import randomised
+    def load(self) -> "Strategy | None":
+        """The strategy; None leaves the choice to the loop. Raises ReorientError for a wrong name or setting."""
+        from reorient.controller import load_strategy
 
-        if self.station != "rendered":
-            return load_station(self.station)
-        if not all(0 <= x < np.inf for x in (self.object_index, self.pose_seed, self.turn_deg, self.noise_mm)):
-            raise ReorientError("expected an object, a seed, a turn and noise from 0 on, all finite")
-        objects = generated(self.object_index + 1)
-        rng = np.random.default_rng(self.pose_seed)
-        sensor = randomised(self.noise_mm / 1000)
-        station = RenderedStation(objects.load(objects.names[-1]), load_world("benchmark"), sensor, rng)
-        turn = np.radians(self.turn_deg)
-        station.rotate(so3.matrix_from_quat(so3.sample_bounded(rng, 1, turn, turn))[0])
-        return station
+        delta_rad = None if self.delta_deg is None else float(np.radians(self.delta_deg))
+        given = {"max_images": self.max_images, "eta": self.eta, "delta_rad": delta_rad}
+        settings = {name: value for name, value in given.items() if value is not None}
+        if self.strategy != "auto":
+            return load_strategy(self.strategy, **settings)
+        if not settings:
+            return None
+        if set(settings) == {"max_images"}:
+            raise ReorientError("--max-images is a setting of a strategy: expected --strategy with it")
+        return load_strategy("algorithm1", **settings)
 
 
 @dataclass(frozen=True)
-class Demo:
-    """Turn a generated object, seen only in depth images, to match a picture; leaves a GIF and an HTML page.
+class LimitChoice:
+    """The limits."""
 
-    For example: reorient demo --out out/demo
-    or, another object and start: reorient demo --object-index 7 --start-deg 25 --noise-mm 0
-    """
+    max_step_deg: float = 180.0
+    """Largest angle of one move, above which it is made in parts."""
+    max_rotation_deg: float | None = None
+    """Sum of the angles of all moves at which the loop ends, by default none."""
+    dry_run: bool = False
+    """Capture, estimate and print the first move, but move nothing."""
+    confirm_first_move: bool = False
+    """Ask at the terminal before the first move."""
 
-    out: Path = Path("out/demo")
-    """Folder for the GIF and the page."""
-    object_index: int = 51
-    """Which generated object."""
-    start_deg: float = 130.0
-    """How far the start is from the goal."""
-    noise_mm: float = 1.0
-    """Depth noise."""
-    estimator: str = "default"
-    seed: int = 0
+    def limits(self, wait_s: float = 0.5) -> "Limits":
+        """The limits of the loop."""
+        from reorient.controller import Limits
 
-    def run(self) -> None:
-        """Make the station, teach the goal, turn away, and close the loop."""
-        from reorient import so3
-        from reorient.controller import Step, orient
-        from reorient.estimators import load_estimator
-        from reorient.reporting import write_loop
-
-        make_folder(self.out)
-        estimator = load_estimator(self.estimator)
-        station: Any = StationChoice("rendered", self.object_index, self.seed, 0.0, self.noise_mm).open()
-        goal, R_goal = station.capture_goal(), station.R_camera_object
-        turn = np.radians(self.start_deg)
-        station.rotate(so3.matrix_from_quat(so3.sample_bounded(np.random.default_rng(self.seed), 1, turn, turn))[0])
-        errors_deg = [self.start_deg]
-        print(f"An object that nobody modelled, {self.start_deg:g} degrees from its goal. Estimator: {self.estimator}.")
-
-        def tell(step: Step) -> None:
-            seen_deg = np.degrees(step.estimate.angle_rad)
-            print(
-                f"image {step.index + 1:3d}: {seen_deg:6.2f} degrees to go by the images, {errors_deg[-1]:6.2f} truly. "
-                f"{step.said}"
-            )
-            errors_deg.append(float(np.degrees(so3.angle_difference(R_goal, station.R_camera_object))))
-
-        result = orient(station, goal, estimator, subscribers=[tell])
-        print(f"{'Done' if result.converged else 'Stopped'} after {result.moves} moves: {result.reason}.")
-        title = f"Generated object {self.object_index}, {self.start_deg:g} degrees away"
-        for path in write_loop(self.out, goal, result, errors_deg, title):
-            print(path)
+        return Limits(
+            max_step_rad=np.radians(self.max_step_deg),
+            max_rotation_rad=np.inf if self.max_rotation_deg is None else np.radians(self.max_rotation_deg),
+            confirm=_confirmed if self.confirm_first_move else None,
+            dry_run=self.dry_run,
+            wait_s=wait_s,
+        )
 
 
 @dataclass(frozen=True)
 class Orient:
-    """Turn the object at a station until it looks like GOAL.
+    """Rotate the object at a station until it matches the goal image.
 
-    For example: reorient capture goal.npz && reorient orient goal.npz --turn-deg 30
-    or, your own cell: reorient orient goal.npz --station my_cell:MyStation --out out/run
+    The exit code is 0 where the loop converged, and 1 where it did not.
+
+    Examples:
+        reorient capture goal.npz && reorient orient goal.npz --start-deg 30
+        reorient orient goal.npz --station my_cell:MyStation --confirm-first-move --record record --out run
     """
 
     goal: Positional[Path]
-    """Depth image as desired, as ``reorient capture`` writes it."""
+    """Depth image of the object as it should be, as written by ``reorient capture``."""
     frames: Frames = field(default_factory=Frames)
     choice: StationChoice = field(default_factory=StationChoice)
     estimator: str = "default"
-    strategy: str = "auto"
-    """'fusing', 'algorithm1' (the paper's), or 'auto': fusing where the estimator's confidence is calibrated, else, or
-    with --eta or --delta-deg, algorithm1."""
-    max_steps: int | None = None
-    """Largest number of images; default: the strategy's own."""
-    eta: float | None = None
-    """Algorithm 1: share of the predicted rotation to turn at once; default 0.2."""
-    delta_deg: float | None = None
-    """Algorithm 1: done when the predicted angle is at most this; default 0.5."""
-    largest_step_deg: float = 180.0
-    """Larger moves are made in parts."""
-    largest_total_deg: float = float("inf")
-    """End rather than turn by more than this in all."""
-    dry_run: bool = False
-    """Capture, estimate and say the first move; move nothing."""
-    confirm_first_move: bool = False
-    """Ask before the first move."""
+    """Name of the estimator, an .onnx file, or a class of your own as module:Class."""
+    strategy_choice: StrategyChoice = field(default_factory=StrategyChoice)
+    limit_choice: LimitChoice = field(default_factory=LimitChoice)
     record: Path | None = None
-    """Folder, a new one, for all that the station sees and does: see ``reorient replay``."""
+    """New folder for a recording of all images and moves, which ``reorient replay`` reads."""
     out: Path | None = None
     """Folder for a page and a GIF of the run."""
 
-    def run(self) -> None:
-        """Close the loop; a loop that does not converge is an error, unless it was a dry run."""
-        from dataclasses import replace
-
-        from reorient.controller import Limits
+    def run(self) -> int:
+        """Close the loop; the exit code."""
         from reorient.estimators import load_estimator
         from reorient.runs.provenance import commit
         from reorient.stations.replay import RecordingStation
 
-        strategy = _strategy(self.strategy, self.max_steps, self.eta, self.delta_deg)
-        limits = Limits(np.radians(self.largest_step_deg), np.radians(self.largest_total_deg), dry_run=self.dry_run)
-        if self.confirm_first_move:
-            limits = replace(limits, confirm=_confirmed)
+        strategy, limits = self.strategy_choice.load(), self.limit_choice.limits()
         goal, estimator = self.frames.read(self.goal, 1), load_estimator(self.estimator)
         if self.out is not None:
             make_folder(self.out)
@@ -161,75 +113,61 @@ class Orient:
         if self.record is not None:
             about = {
                 "estimator": self.estimator,
-                "strategy": [self.strategy, self.max_steps, self.eta, self.delta_deg],
-                "largest_step_deg": self.largest_step_deg,
-                "largest_total_deg": self.largest_total_deg if np.isfinite(self.largest_total_deg) else None,
-                "dry_run": self.dry_run,
+                "strategy": asdict(self.strategy_choice),
+                "limits": asdict(self.limit_choice) | {"confirm_first_move": False},
                 "station": self.choice.station,
                 "version": __version__,
                 "commit": commit(),
             }
             station = RecordingStation(station, self.record, goal, about)
-        title = f"Station {self.choice.station}"
-        _close_loop(station, goal, estimator, strategy, self.max_steps, limits, self.out, title)
+        return _close_loop(station, goal, estimator, strategy, limits, self.out, f"Station {self.choice.station}")
 
 
 @dataclass(frozen=True)
 class Replay:
-    """Run a recorded loop again, without its station: the same frames and answers, the decisions made anew.
+    """Run a recorded loop again, without its station.
 
-    For example: reorient orient goal.npz --turn-deg 120 --record out/record && reorient replay out/record
+    The images and the answers of the station are those of the recording; estimates and decisions are made anew.
+
+    Examples:
+        reorient orient goal.npz --start-deg 120 --record record && reorient replay record
     """
 
     record: Positional[Path]
-    """What ``reorient orient --record`` wrote."""
+    """Folder that ``reorient orient --record`` wrote."""
     out: Path | None = None
     """Folder for a page and a GIF of the run."""
 
-    def run(self) -> None:
-        """Replay; a loop that does not converge is an error, as it was."""
-        from reorient.controller import Limits
+    def run(self) -> int:
+        """Close the loop on the recording; the exit code, as of ``orient``."""
         from reorient.estimators import load_estimator
         from reorient.stations.replay import ReplayedStation
 
         station = ReplayedStation(self.record)
         try:
-            estimator_name, (name, max_steps, eta, delta_deg) = station.record["estimator"], station.record["strategy"]
-            max_steps = None if max_steps is None else int(max_steps)
-            strategy = _strategy(str(name), max_steps, eta, delta_deg)
-            most_deg = station.record.get("largest_total_deg")  # older records do not say
-            limits = Limits(
-                np.radians(station.record["largest_step_deg"]),
-                np.inf if most_deg is None else np.radians(most_deg),
-                dry_run=bool(station.record.get("dry_run")),
-                wait_s=0.0,
-            )
+            estimator_name = str(station.record["estimator"])
+            strategy = StrategyChoice(**station.record["strategy"]).load()
+            limits = LimitChoice(**station.record["limits"]).limits(wait_s=0.0)
         except (KeyError, TypeError, ValueError) as error:
             raise ReorientError(
-                f"the record does not say how it was made ({error}): expected one of `orient`"
+                f"{str(self.record)!r} lacks valid settings ({error}): expected a folder of `reorient orient --record`"
             ) from error
-        estimator = load_estimator(str(estimator_name))
+        estimator = load_estimator(estimator_name)
         if self.out is not None:
             make_folder(self.out)
-        title = f"Record {self.record.name}"
-        _close_loop(station, station.goal(), estimator, strategy, max_steps, limits, self.out, title)
+        return _close_loop(station, station.goal(), estimator, strategy, limits, self.out, f"Record {self.record.name}")
 
 
-def _strategy(name: str, max_steps: int | None, eta: float | None, delta_deg: float | None) -> "Strategy | None":
-    """The strategy of a command line; None: what suits the estimator. Settings of Algorithm 1 ask for it."""
-    from reorient.controller import Fusing, Proportional
-    from reorient.errors import unknown_name
-
-    if name not in ("auto", "fusing", "algorithm1"):
-        raise unknown_name("strategy", name, ["auto", "fusing", "algorithm1"])
-    given = {"eta": eta, "delta_rad": None if delta_deg is None else float(np.radians(delta_deg))}
-    given = {key: value for key, value in given.items() if value is not None}
-    if name == "auto" and not given:
-        return None
-    if name == "fusing" and given:
-        raise ReorientError("--eta and --delta-deg are Algorithm 1's: expected no --strategy fusing with them")
-    steps = {} if max_steps is None else {"max_steps": max_steps}
-    return Fusing(**steps) if name == "fusing" else Proportional(**steps, **given)  # type: ignore[arg-type]
+def print_outcome(result: "OrientResult") -> int:
+    """Print status, reason and confidence of a loop; the exit code."""
+    code = EXIT_CODES.get(result.status, 1)
+    for error in result.errors:
+        print(f"error during the loop: {error}")
+    moves = f"{result.moves} move" + "s" * (result.moves != 1)
+    print(f"{result.status} after {moves}: {result.reason}", file=sys.stderr if code else sys.stdout)
+    if result.converged:
+        print(f"confidence {confidence_in_words(result.confidence)}")
+    return code
 
 
 def _confirmed(R_step: np.ndarray) -> bool:
@@ -237,73 +175,32 @@ def _confirmed(R_step: np.ndarray) -> bool:
     from reorient import so3
 
     rotvec = np.degrees(so3.log(R_step))
-    turn = (
-        f"{np.linalg.norm(rotvec):.1f} degrees (rotation vector [{' '.join(f'{x:.1f}' for x in rotvec)}], camera axes)"
+    vector = " ".join(f"{x:.1f}" for x in rotvec)
+    question = (
+        f"first move: {np.linalg.norm(rotvec):.1f} deg, rotation vector [{vector}] deg in camera axes. Move? [y/N] "
     )
     try:
-        return input(f"The first move is {turn}. Go? [y/N] ").strip().lower() in ("y", "yes")
+        return input(question).strip().lower() in ("y", "yes")
     except EOFError:
         return False
 
 
 def _close_loop(
-    station: "Station",
-    goal: "DepthImage",
-    estimator: "Estimator",
-    strategy: "Strategy | None",
-    max_steps: int | None,
-    limits: "Limits",
-    out: Path | None,
-    title: str,
-) -> None:
-    """Run the loop, tell its decisions, write its page, and raise ReorientError where it did not converge."""
-    from reorient.controller import Step, orient
+    station: Any, goal: Any, estimator: Any, strategy: "Strategy | None", limits: "Limits", out: Path | None, title: str
+) -> int:
+    """Run the loop, print its decisions and its outcome, write its page; the exit code."""
+    from reorient.controller import orient
     from reorient.reporting import write_loop
     from reorient.stations.replay import RecordingStation
 
-    def tell(step: Step) -> None:
-        seen_deg = np.degrees(step.estimate.angle_rad)
-        print(f"image {step.index + 1:3d}: {seen_deg:6.2f} degrees to go. {step.said}", flush=True)
+    def show(step: "Step") -> None:
+        print(f"[{step.index + 1}] {step.message}", flush=True)
 
-    suited = max_steps if strategy is None else None  # a strategy has its own number
-    result = orient(station, goal, estimator, strategy, subscribers=[tell], limits=limits, max_steps=suited)
+    result = orient(station, goal, estimator, strategy, limits=limits, subscribers=[show])
     if isinstance(station, RecordingStation):
         station.finish(result.reason, result.converged)
-    for fault in result.faults:
-        print(f"on the way: {fault}")
+    code = print_outcome(result)
     if out is not None and result.steps:
         for path in write_loop(out, goal, result, [], title):
             print(path)
-    if limits.dry_run and result.steps and result.steps[-1].said:  # it has decided
-        print(result.reason)
-        return
-    if not result.converged:
-        raise ReorientError(f"not converged after {result.moves} moves: {result.reason}")
-    print(f"Done after {result.moves} moves: {result.reason}.")
-
-
-@dataclass(frozen=True)
-class Capture:
-    """Teach a goal: write what the station's camera sees now.
-
-    For example: reorient capture goal.npz --station my_cell:MyStation
-    """
-
-    out: Positional[Path]
-    """File to write: .npz, .tif, or .png (in steps of 0.1 mm); all keep the camera."""
-    choice: StationChoice = field(default_factory=StationChoice)
-
-    def run(self) -> None:
-        """Capture and write."""
-        from reorient.controller.station import captured
-        from reorient.imaging.files import write_depth
-
-        station: Any = self.choice.open()
-        try:  # a simulated gripper can be told to let go of the picture
-            image = captured(station.capture_goal() if hasattr(station, "capture_goal") else station.capture())
-        except ReorientError:
-            raise
-        except Exception as error:
-            raise ReorientError(f"the station failed to capture ({type(error).__name__}: {error})") from error
-        write_depth(self.out, image, scale_m=0.0001)
-        print(self.out)
+    return code

@@ -2,10 +2,8 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
 
-from tyro.conf import Positional, subcommand
-
+from reorient.cli.arguments import Positional
 from reorient.cli.learning import require
 from reorient.cli.progress import show_progress
 from reorient.learning.verifier import VerifierData
@@ -14,9 +12,9 @@ from reorient.runs.pool import Pool
 
 @dataclass(frozen=True)
 class Make:
-    """Generate hypotheses of known error to train the verifier on, a file for a few objects.
+    """Generate hypotheses of known error to train the verifier on.
 
-    An interrupted run continues where it stopped.
+    One file holds those of a few objects. An interrupted run continues where it stopped.
 
     Examples:
         reorient verifier make out/verifier --count 5000 --workers 2
@@ -36,7 +34,9 @@ class Make:
 
 @dataclass(frozen=True)
 class Train:
-    """Train the verifier on generated hypotheses (extra ``train``), and print its figures on held-out objects.
+    """Train the verifier on generated hypotheses.
+
+    Its figures on held-out objects are printed. Needs the extra ``train``.
 
     Examples:
         reorient verifier train out/verifier out/verifier.npz
@@ -60,14 +60,3 @@ class Train:
         others = {effort: read(folder) for effort, folder in folders.items() if folder is not None}
         for name, value in train(read(self.data), self.out, others).items():
             print(f"{name}: {value:.4g}")
-
-
-@dataclass(frozen=True)
-class Verifier:
-    """Make the verifier's data; train it."""
-
-    verb: Annotated[Make, subcommand("make")] | Annotated[Train, subcommand("train")]
-
-    def run(self) -> None:
-        """Run the chosen verb."""
-        self.verb.run()

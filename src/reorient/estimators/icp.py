@@ -4,6 +4,8 @@ The paper's release shrinks the cloud to a line and lets ICP mirror and scale it
 measures the effect.
 """
 
+from typing import Any
+
 import numpy as np
 import trimesh
 from jaxtyping import Float
@@ -45,7 +47,8 @@ class ICP:
         self, source: Float[np.ndarray, "n 3"], target: Float[np.ndarray, "m 3"], T: np.ndarray, iterations: int
     ) -> tuple[Float[np.ndarray, "4 4"], float]:
         """The transform and the cost (mean squared distance, m^2)."""
-        T, _, cost = trimesh.registration.icp(
+        icp: Any = trimesh.registration.icp
+        T, _, cost = icp(
             source,
             target,
             initial=T,
@@ -58,4 +61,4 @@ class ICP:
 
     def _cloud(self, image: DepthImage) -> Float[np.ndarray, "n 3"]:
         points = image.points()
-        return points[evenly_spaced(len(points), self._max_points)]
+        return np.asarray(points[evenly_spaced(len(points), self._max_points)])

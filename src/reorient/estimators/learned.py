@@ -24,15 +24,17 @@ from reorient.imaging.virtual_camera import (
 )
 from reorient.registration import DepthView
 
-SWIFT_ROUNDS = 3  # from the second on it is asked about what the answer so far leaves
-NEAR_RAD = float(np.radians(3))  # so little is left that the exchanged pair is like those it was trained on, too
+SWIFT_ROUNDS = 3  # from the second on it estimates the rotation left by the answer so far
+NEAR_RAD = float(np.radians(3))  # below this the exchanged pair, too, is like those it was trained on
 INTERFACE = [("images", 2, 128, 128), ("quat_wxyz", 4)]  # of an export: names and shapes, without the number of pairs
 
 
 @cache
 def load_session(weights: str | Path) -> Any:
-    """The ONNX Runtime session of weights in the package (a name) or of a file. Raises ReorientError where
-    there are none, or those of something else."""
+    """The ONNX Runtime session of weights in the package (a name) or of a file.
+
+    Raises ReorientError for a missing or unreadable file, and for another network.
+    """
     import onnxruntime
 
     file = weights if isinstance(weights, Path) else resources.files("reorient") / "weights" / f"{weights}.onnx"
@@ -54,17 +56,17 @@ def load_session(weights: str | Path) -> Any:
 
 
 class Learned:
-    """A network's answer for 0-30 degrees (paper, "Learning to Estimate 3D Rotations").
+    """A network for rotations of 0-30 degrees (paper, "Learning to Estimate 3D Rotations").
 
-    ``weights``: those of the package, or an exported file. ``rounds``: from the second on, the network sees the current
-    image turned by the answer so far, as ``swift`` was trained to; None: as the file says. Where the answer so far is
-    small, these rounds ask about the exchanged pair, too: the mean of both answers has no bias at the goal.
+    ``weights``: a name in the package, or an exported file. ``rounds``: from the second on, the input is the current
+    image rotated by the answer so far, as in the training of ``swift``; None: as stated in the file. Where the answer
+    so far is small, these rounds also estimate the exchanged pair: the mean of both answers has no bias at the goal.
     """
 
     def __init__(self, weights: Literal["paper", "swift"] | Path, rounds: int | None = None) -> None:
         self._session = load_session(weights)
-        said = self._session.get_modelmeta().custom_metadata_map
-        self._rounds = int(said.get("rounds", 1)) if rounds is None else rounds
+        stated = self._session.get_modelmeta().custom_metadata_map
+        self._rounds = int(stated.get("rounds", 1)) if rounds is None else rounds
 
     def estimate(
         self,
@@ -81,7 +83,7 @@ class Learned:
         R_virtual = so3.matrix_from_quat(self._answer_wxyz(current_m, goal_m, virtual))
         for _ in range(self._rounds - 1):
             seen_m = turned(current_m, virtual.tangent, R_virtual, from_m, to_m)
-            if pivot_m is None:  # a guess is made better by what the turned view shows
+            if pivot_m is None:  # the rotated view improves a guess
                 to_m = to_m + slide(seen_m, goal_m, virtual.tangent)
                 seen_m = turned(current_m, virtual.tangent, R_virtual, from_m, to_m)
             left_wxyz = self._answer_wxyz(seen_m, goal_m, virtual)
@@ -93,9 +95,9 @@ class Learned:
         return with_evidence(DepthView(current), DepthView(goal), R, t)
 
     def raw_quat_wxyz(self, current: DepthImage, goal: DepthImage) -> Float[np.ndarray, "4"]:
-        """What the network itself says in its first round: virtual camera axes, the sign as it comes."""
+        """Raw output of the network in its first round: virtual camera axes, either sign."""
         virtual, (current_m, goal_m) = self._views(current, goal)
-        return self._predict(current_m, goal_m, virtual)[0].astype(float)
+        return np.asarray(self._predict(current_m, goal_m, virtual)[0].astype(float))
 
     @staticmethod
     def _views(current: DepthImage, goal: DepthImage) -> tuple[VirtualCamera, list[Float32[np.ndarray, "n size size"]]]:
@@ -123,7 +125,7 @@ class Learned:
     def _turning_point(
         self, virtual: VirtualCamera, view_m: Float32[np.ndarray, "n size size"], pivot_m: Float[np.ndarray, "3"] | None
     ) -> Float[np.ndarray, "n 3"]:
-        """The pivot, else the guess from what is seen, in virtual axes."""
+        """The pivot, else a guess from the visible surface, in virtual axes."""
         if pivot_m is None:
             return turning_points(view_m, virtual.tangent)
-        return virtual.R_virtual_camera @ pivot_m
+        return np.asarray(virtual.R_virtual_camera @ pivot_m)

@@ -167,7 +167,7 @@ class Verifier:
         for _ in range(self.depth):
             goes_left = values[rows, self.feature[trees, node]] <= self.threshold[trees, node]
             node = np.where(goes_left, self.left[trees, node], self.right[trees, node])
-        return self.value[trees, node].sum(axis=1) + self.baseline
+        return np.asarray(self.value[trees, node].sum(axis=1) + self.baseline)
 
     def probability(self, log_odds: Float[np.ndarray, " k"], effort: str) -> Float[np.ndarray, " k"]:
         """Calibrated probability; by effort, as a longer search leaves more wrong hypotheses that fit well."""

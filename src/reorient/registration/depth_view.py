@@ -55,7 +55,7 @@ class Warped:
 
     def inlier(self, tolerance_m: float) -> Bool[np.ndarray, "*batch"]:
         """Points within the tolerance of the surface."""
-        return np.abs(self.difference_m) <= tolerance_m
+        return np.asarray(np.abs(self.difference_m) <= tolerance_m)
 
     def violation(self, tolerance_m: float) -> Bool[np.ndarray, "*batch"]:
         """Free-space and silhouette violations together."""
@@ -67,7 +67,7 @@ class Warped:
 
     def free_space_violation(self, tolerance_m: float) -> Bool[np.ndarray, "*batch"]:
         """Points in front of the surface."""
-        return self.violation(tolerance_m) & ~self.silhouette_violation()
+        return np.asarray(self.violation(tolerance_m) & ~self.silhouette_violation())
 
     def occluded(self, tolerance_m: float) -> Bool[np.ndarray, "*batch"]:
         """Points behind the surface."""
@@ -115,7 +115,7 @@ class DepthView:
 
     def outside_px(self, pixel: Int[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
         """By how many pixels beyond ``GAP_PX`` places miss the object; 0 on it."""
-        return np.maximum(self._gap_px.take(pixel) - GAP_PX, 0)
+        return np.asarray(np.maximum(self._gap_px.take(pixel) - GAP_PX, 0))
 
     @cached_property
     def normals(self) -> Float[np.ndarray, "m 3"]:
@@ -149,7 +149,7 @@ class DepthView:
         v += self._centre[1]
         np.clip(u, 0, self._width - 1, out=u)
         np.clip(v, 0, self._height - 1, out=v)
-        pixel = v.astype(np.int32)
+        pixel: np.ndarray = v.astype(np.int32)
         pixel *= self._width
         pixel += u.astype(np.int32)
         return pixel

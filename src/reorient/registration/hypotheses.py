@@ -49,7 +49,7 @@ def rotate(
     R: Float[np.ndarray, "k 3 3"], points_m: Float[np.ndarray, "3 n"], t_m: Float[np.ndarray, "k 3"] | None = None
 ) -> Float[np.ndarray, "k 3 n"]:
     """Points (as columns) under k rotations, and shifted where translations are given."""
-    x = (R.reshape(-1, 3) @ points_m).reshape(len(R), 3, -1)
+    x: np.ndarray = (R.reshape(-1, 3) @ points_m).reshape(len(R), 3, -1)
     if t_m is not None:
         x += t_m[:, :, None]
     return x

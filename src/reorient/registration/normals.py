@@ -1,4 +1,4 @@
-"""The surface around each return of a depth image, as a plane: what shading, registration and evidence all need."""
+"""The plane of the surface around each return of a depth image."""
 
 from dataclasses import dataclass
 

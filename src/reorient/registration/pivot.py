@@ -29,7 +29,7 @@ class PivotPrior:
 
     def translations(self, R: Float[np.ndarray, "k 3 3"]) -> Float[np.ndarray, "k 3"]:
         """The translations (metres) that take the one centre to the other."""
-        return self.goal_m - R @ self.current_m
+        return np.asarray(self.goal_m - R @ self.current_m)
 
     def information(
         self, R: Float[np.ndarray, "k 3 3"], t_m: Float[np.ndarray, "k 3"]
@@ -47,7 +47,7 @@ class PivotPrior:
         if not self.known:
             return np.zeros(len(R))
         information, moved_m = self.information(R, t_m)
-        return np.einsum("ki,kij,kj->k", moved_m, information, moved_m)
+        return np.asarray(np.einsum("ki,kij,kj->k", moved_m, information, moved_m))
 
 
 def pivot_prior(current: DepthView, goal: DepthView, pivot_m: Float[np.ndarray, "3"] | None) -> PivotPrior:

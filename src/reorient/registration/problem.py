@@ -56,7 +56,7 @@ class Problem:
         if self.prior.known:
             return self.prior.translations(R)
         rotated = rotate(R.astype(np.float32), self.current.sample(BOX_POINTS))
-        return _anchor(self.goal.sample(BOX_POINTS)[None]) - _anchor(rotated)
+        return np.asarray(_anchor(self.goal.sample(BOX_POINTS)[None]) - _anchor(rotated))
 
     def start(self, R: Float[np.ndarray, "k 3 3"]) -> Hypotheses:
         """Hypotheses of these rotations with their first translations."""
@@ -77,7 +77,9 @@ class Problem:
     def score(self, hypotheses: Hypotheses, tolerance: float, points: int) -> Float[np.ndarray, " k"]:
         """``image_score`` less the cost of the prior."""
         distance2 = self.prior.mahalanobis2(hypotheses.R, hypotheses.t_m)
-        return self.image_score(hypotheses, tolerance, points) - PRIOR_COST * np.minimum(distance2, LARGEST_DISTANCE2)
+        return np.asarray(
+            self.image_score(hypotheses, tolerance, points) - PRIOR_COST * np.minimum(distance2, LARGEST_DISTANCE2)
+        )
 
     def share(self, points: int) -> int:
         """Points of each observation, so that several take no longer than one."""

@@ -1,21 +1,21 @@
-"""The default estimator: any rotation, alternatives, history, confidence; and the laws that its parts obey."""
+"""Rotation search: any rotation, alternatives, history, confidence; its search, verifier and polish."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
-from reorient.estimators.default import Default, pose
-from reorient.registration.refine import BOX_POINTS, Hypotheses, descend, distinct, normal_equations, scatter
-from reorient.registration.surface import LARGEST_PX, compact
 
 from reorient import so3
 from reorient.errors import ReorientError
-from reorient.estimators import default, load_estimator
-from reorient.estimators.search import EFFORTS, search
-from reorient.estimators.verifier import FEATURES, Judge, features, load_judge
+from reorient.estimators import load_estimator
+from reorient.estimators.polish import Polished, choose, polish
+from reorient.estimators.rotation_search import RotationSearch
+from reorient.estimators.search import EFFORTS, Stage, perturb_and_select, search
+from reorient.estimators.verifier import FEATURES, Verifier, features, load_verifier
 from reorient.imaging import Camera, DepthImage
-from reorient.registration.normals import fit_planes
+from reorient.registration import Hypotheses, build_problem
+from reorient.registration.depth_view import LARGEST_PX, compact
 from reorient.reporting.explaining import in_words, picture
 from reorient.world.pairs import sample_pair
 from reorient.world.rendering import Placement, Renderer, load_world
@@ -50,7 +50,7 @@ def test_far_rotations(mesh, angle_deg, given):
     assert all(0 <= e.confidence <= 1 for e in estimates)
 
 
-def test_mirror_inverse_and_conjugate_are_told_apart(mesh):
+def test_mirror_inverse_and_conjugate_are_distinguished(mesh):
     pair = pair_of(mesh, 3, 100)
     R, R_start = pair.R_goal_current, pair.R_camera_object
     estimate = load_estimator().estimate(pair.current, pair.goal, pair.pivot_m)
@@ -72,7 +72,7 @@ def test_deterministic(mesh):
 
 def test_many_are_the_same_as_one_by_one(mesh):
     pairs = [pair_of(mesh, seed, 40) for seed in range(2)]
-    estimator = Default("fast")
+    estimator = RotationSearch("fast")
     many = estimator.estimate_many([(p.current, p.goal) for p in pairs], [p.pivot_m for p in pairs], workers=2)
     for estimate, pair in zip(many, pairs, strict=True):
         alone = estimator.estimate(pair.current, pair.goal, pair.pivot_m)
@@ -83,21 +83,21 @@ def test_many_are_the_same_as_one_by_one(mesh):
 def test_a_pivot_each_or_none(mesh, workers):
     pair = pair_of(mesh, 0, 40)
     with pytest.raises(ReorientError, match="1 pivots for 3 pairs: expected one each"):
-        Default("fast").estimate_many([(pair.current, pair.goal)] * 3, [None], workers)
+        RotationSearch("fast").estimate_many([(pair.current, pair.goal)] * 3, [None], workers)
 
 
 @pytest.mark.parametrize("effort", ["fast", "normal", "thorough"])
 def test_every_effort_answers_and_has_its_calibration(mesh, effort):
     pair = pair_of(mesh, 2, 50, randomised(0.001))
-    estimate = Default(effort).estimate(pair.current, pair.goal, pair.pivot_m)
+    estimate = RotationSearch(effort).estimate(pair.current, pair.goal, pair.pivot_m)
     assert errors_deg(estimate.R_goal_current, pair.R_goal_current) < 5
     assert 0.5 < estimate.confidence <= 1
-    assert set(load_judge().calibration) == set(EFFORTS)
+    assert set(load_verifier().calibration) == set(EFFORTS)
 
 
 def test_unknown_effort():
     with pytest.raises(ReorientError, match="unknown effort 'thorogh': expected one of .*did you mean 'thorough'"):
-        Default("thorogh")
+        RotationSearch("thorogh")
 
 
 def test_a_symmetric_object_has_alternatives_with_the_truth_among_them():
@@ -154,20 +154,6 @@ def test_a_history_of_other_things_than_rotations_is_refused(mesh, R_now_then):
             load_estimator("fast").estimate(pair.current, pair.goal, None, history)
 
 
-def test_earlier_views_slide_into_place_where_the_pivot_is_wrong(mesh):
-    rng = np.random.default_rng(2)
-    renderer, center = Renderer(mesh), np.array([0.0, 0.0, 0.6])
-    placement, R = Placement(0.1, center), so3.exp(np.array([0.0, 0.6, 0.2]))
-    R_then = so3.sample_uniform(rng, 1)[0]
-    then, now = (DepthImage(renderer.depth(WORLD.camera, x, placement), WORLD.camera) for x in (R_then, R @ R_then))
-    problem = pose(now, now, center + 0.008, [(then, R)])
-    assert len(problem.looks) == 2
-    np.testing.assert_array_equal(problem.looks[1].R_now_then, R)
-    moved = R @ center + problem.looks[1].t_now_then_m
-    assert np.linalg.norm(moved - center) < 0.003
-    assert len(pose(now, now, center, [(now, so3.exp(np.array([0.0, 0.05, 0.0])))]).looks) == 1  # shows nothing new
-
-
 def test_degenerate_images_are_answered_or_refused():
     camera = Camera(64, 64, 60.0, 60.0, 32.0, 32.0)
     line, dot = np.zeros((64, 64)), np.zeros((64, 64))
@@ -192,126 +178,30 @@ def test_other_cameras(mesh, f):
     assert errors_deg(estimate.R_goal_current, R) < 1.5
 
 
-# --- laws of the parts ----------------------------------------------------------------------------------------------
-
-
-def test_planes_of_a_plane():
-    camera = Camera(60, 50, 80.0, 70.0, 31.0, 24.0)
-    normal, offset = np.array([0.3, -0.2, -0.93]) / np.linalg.norm([0.3, -0.2, -0.93]), -0.5
-    depth_m = offset / (camera.rays() @ normal)
-    depth_m[10:14] = 0
-    planes = fit_planes(DepthImage(depth_m, camera))
-    np.testing.assert_allclose(planes.normals, np.broadcast_to(normal, planes.normals.shape), atol=2e-4)
-    np.testing.assert_allclose(planes.offsets_m, offset, atol=2e-4)
-
-
-def test_the_pivot_costs_nothing_that_leaves_it_in_place(mesh, rng):
-    pair = pair_of(mesh)
-    frame = pose(pair.current, pair.goal, pair.placement.center_m).frame
-    R = so3.sample_uniform(rng, 4)
-    t_m = frame.start(R)
-    np.testing.assert_allclose(frame.surprise(R, t_m), 0, atol=1e-9)
-    along = np.stack([so3.log(x) / np.linalg.norm(so3.log(x)) for x in R])
-    across = np.cross(along, [1.0, 0.0, 0.0])
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
-    # a wrong pivot explains a shift across the axis, never one along it
-    assert np.all(frame.surprise(R, t_m + 0.01 * along) > frame.surprise(R, t_m + 0.01 * across))
-
-
-def test_first_translations(mesh, rng):
-    """About a known pivot; else what is seen stands where the goal stands, whatever the rotation."""
-    pair, R = pair_of(mesh, 3, 120), so3.sample_uniform(rng, 5)
-    known = pose(pair.current, pair.goal, pair.pivot_m)
-    np.testing.assert_allclose(R @ pair.pivot_m + known.start(R), np.broadcast_to(pair.pivot_m, (5, 3)))
-    unknown = pose(pair.current, pair.goal, None)
-    seen, goal = (x.sample(BOX_POINTS).T for x in (unknown.looks[0].surface, unknown.goal))
-    for turn, t_m in zip(R, unknown.start(R), strict=True):
-        x = seen @ turn.T + t_m
-        low, high = np.stack([x.min(axis=0), goal.min(axis=0)]), np.stack([x.max(axis=0), goal.max(axis=0)])
-        np.testing.assert_allclose(*(low + high)[:, :2] / 2, atol=1e-6)
-        np.testing.assert_allclose(*low[:, 2], atol=1e-6)
-
-
-def test_hypotheses_do_not_depend_on_their_company(mesh, rng):
-    """Batches are only a matter of speed."""
-    pair = pair_of(mesh, 3, 60)
-    problem, R = pose(pair.current, pair.goal, None), so3.sample_uniform(rng, 700)
-    every = Hypotheses(R, problem.start(R))
-    alone = every[np.array([0, 350, 699])]
-    scores = problem.score(every, 0.03, 100)
-    np.testing.assert_allclose(scores[[0, 350, 699]], problem.score(alone, 0.03, 100), atol=1e-6)
-    H, g = normal_equations(problem, every, 0.03, 60)
-    H_alone, g_alone = normal_equations(problem, alone, 0.03, 60)
-    np.testing.assert_allclose(H[[0, 350, 699]], H_alone, rtol=1e-3, atol=1e-2)
-    np.testing.assert_allclose(g[[0, 350, 699]], g_alone, rtol=1e-3, atol=1e-2)
-
-
-def step_rad(H, g):
-    """The turn of an undamped Gauss-Newton step."""
-    return -np.linalg.solve(H, g[:, :, None])[0, :3, 0]
-
-
-def test_steps_vanish_at_the_truth_and_lead_there_from_nearby(mesh):
-    pair = pair_of(mesh, 5, 30)
-    problem, truth = pose(pair.current, pair.goal, pair.placement.center_m), motion_of(pair)
-    at_truth = step_rad(*normal_equations(problem, truth, 0.01, 2000))
-    turn = so3.exp(np.array([[0.0, 0.05, 0.0]]))
-    center = problem.frame.center_m
-    near = Hypotheses(turn @ truth.R, (turn @ (truth.t_m - center)[:, :, None])[:, :, 0] + center)
-    H, nearby = normal_equations(problem, near, 0.01, 2000)
-    assert np.linalg.norm(at_truth) < np.radians(0.3)
-    assert step_rad(H, nearby) @ np.array([0.0, -1.0, 0.0]) > 0.02
-    np.testing.assert_allclose(H, np.swapaxes(H, 1, 2), rtol=1e-4, atol=1e-2)
-    assert np.linalg.eigvalsh(H).min() > 0
-
-
-def test_descent_ends_at_the_truth(mesh, rng):
-    pair = pair_of(mesh, 5, 30)
-    problem, truth = pose(pair.current, pair.goal, None), motion_of(pair)
-    turn = so3.exp(rng.normal(0, 0.08, (8, 3)))
-    start = Hypotheses(turn @ truth.R, problem.frame.start(turn @ truth.R))
-    end = descend(problem, start, (0.05, 0.05, 0.04, 0.03, 0.02, 0.015, 0.01, 0.01, 0.005, 0.005), 1000)
-    assert np.median(errors_deg(end.R, pair.R_goal_current)) < 0.5
-
-
-def test_descent_without_turning_keeps_the_rotations(mesh, rng):
-    pair = pair_of(mesh, 5, 30)
-    problem, truth = pose(pair.current, pair.goal, None), motion_of(pair)
-    end = descend(problem, Hypotheses(truth.R, truth.t_m + 0.01), (0.04, 0.03, 0.02, 0.01), 500, turn=False)
-    np.testing.assert_allclose(end.R, truth.R, atol=1e-12)
-    assert np.linalg.norm(end.t_m - truth.t_m) < 0.002
-
-
-def test_scattering_never_makes_it_worse(mesh, rng):
+def test_perturb_and_select_never_lowers_the_score(mesh, rng):
     pair = pair_of(mesh, 2, 60)
-    problem = pose(pair.current, pair.goal, pair.pivot_m)
-    R = so3.sample_uniform(rng, 6)
-    start = Hypotheses(R, problem.frame.start(R))
-    end = scatter(problem, start, rng, 16, 0.2, 0.03, 0.03, 300)
-    assert np.all(problem.score(end, 0.03, 300) >= problem.score(start, 0.03, 300) - 1e-6)
+    problem = build_problem(pair.current, pair.goal, pair.pivot_m)
+    start = problem.start(so3.sample_uniform(rng, 6))
+    stage = Stage((), 0, 0.03, 300, 6, 0.0, copies=16, rotation_rad=0.2, shift=0.03)
+    before, after = (problem.score(x, 0.03, 300) for x in (start, perturb_and_select(problem, start, rng, stage)))
+    assert np.all(after >= before - 1e-6)
+    assert np.any(after > before + 0.01)
 
 
-def test_distinct_takes_the_best_first_and_none_too_near():
-    R = so3.exp(np.radians([[0.0, 0, 0], [4, 0, 0], [20, 0, 0], [24, 0, 0], [60, 0, 0]]))
-    score = np.array([0.1, 0.5, 0.4, 0.3, 0.2])
-    assert distinct(R, score, 5, np.radians(10)).tolist() == [1, 2, 4]
-    assert distinct(R, score, 2, np.radians(10)).tolist() == [1, 2]
-
-
-def test_figures_have_their_names_and_speak_for_the_truth(mesh):
+def test_the_most_probable_hypothesis_is_the_truth(mesh):
     pair = pair_of(mesh, 2, 60)
-    problem = pose(pair.current, pair.goal, pair.pivot_m)
+    problem = build_problem(pair.current, pair.goal, pair.pivot_m)
     hypotheses = search(problem, EFFORTS["fast"])
-    figures = features(problem, problem.looks[0], hypotheses)
-    assert figures.shape == (len(hypotheses), len(FEATURES))
-    assert np.all(np.isfinite(figures))
-    best = np.argmax(load_judge().log_odds(figures))
+    values = features(problem, hypotheses)
+    assert values.shape == (len(hypotheses), len(FEATURES))
+    assert np.all(np.isfinite(values))
+    best = np.argmax(load_verifier().log_odds(values))
     assert errors_deg(hypotheses.R[best], pair.R_goal_current) < 5
 
 
 def test_trees_by_hand():
-    """One tree: below 0.5 in figure 1 adds -2; above it, figure 0 decides between 1 and 3."""
-    judge = Judge(
+    """One tree: below 0.5 in feature 1 adds -2; above it, feature 0 decides between 1 and 3."""
+    verifier = Verifier(
         feature=np.array([[1, 0, 0, 0, 0]]),
         threshold=np.array([[0.5, np.inf, 2.0, np.inf, np.inf]]),
         left=np.array([[1, 1, 3, 3, 4]]),
@@ -321,28 +211,30 @@ def test_trees_by_hand():
         baseline=0.5,
         calibration={"normal": (2.0, -1.0), "fast": (1.0, 0.0)},
     )
-    figures = np.array([[9.0, 0.5], [2.0, 0.6], [2.1, 0.6]])
-    np.testing.assert_allclose(judge.log_odds(figures), [-1.5, 1.5, 3.5])
-    np.testing.assert_allclose(judge.probability(np.array([0.5]), "normal"), [0.5])
-    np.testing.assert_allclose(judge.probability(np.array([0.0]), "fast"), [0.5])
+    values = np.array([[9.0, 0.5], [2.0, 0.6], [2.1, 0.6]])
+    np.testing.assert_allclose(verifier.log_odds(values), [-1.5, 1.5, 3.5])
+    np.testing.assert_allclose(verifier.probability(np.array([0.5]), "normal"), [0.5])
+    np.testing.assert_allclose(verifier.probability(np.array([0.0]), "fast"), [0.5])
 
 
-def test_a_file_that_is_no_judge_is_refused(tmp_path):
+def test_a_file_that_is_no_verifier_is_refused(tmp_path):
     path = tmp_path / "verifier.npz"
     path.write_bytes(b"no weights")
-    with pytest.raises(ReorientError, match="cannot read the judge .* expected the package's verifier.npz"):
-        load_judge(path)
+    with pytest.raises(ReorientError, match="cannot read the verifier .* expected the package's verifier.npz"):
+        load_verifier(path)
 
 
-def test_the_polish_is_kept_unless_it_slides_away(mesh, monkeypatch):
+def test_icp_is_kept_unless_it_loses_score(mesh):
     pair = pair_of(mesh, 5, 60, randomised(0.001))
-    problem, truth = pose(pair.current, pair.goal, pair.pivot_m), motion_of(pair)
-    polished = default._polished(problem, truth)
-    assert errors_deg(polished.R[0], pair.R_goal_current) < 1
-    slid = Hypotheses(so3.exp(np.array([[0.0, 0.2, 0.0]])) @ truth.R, truth.t_m)
-    for answer, kept in ((polished, True), (slid, False)):
-        monkeypatch.setattr(default, "_registered", lambda *_, answer=answer: answer)
-        assert (default._polished(problem, truth) is answer) == kept
+    problem, truth = build_problem(pair.current, pair.goal, pair.pivot_m), motion_of(pair)
+    polished = polish(problem, truth)
+    assert errors_deg(polished.hypothesis.R[0], pair.R_goal_current) < 1
+    assert polished.converged
+    slid = Polished(Hypotheses(so3.exp(np.array([[0.0, 0.2, 0.0]])) @ truth.R, truth.t_m), True, 5)
+    assert choose(problem, truth, polished) is polished
+    kept = choose(problem, truth, slid)
+    assert kept.hypothesis is truth
+    assert kept.converged is False
 
 
 # --- words and pictures ---------------------------------------------------------------------------------------------

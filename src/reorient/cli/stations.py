@@ -1,0 +1,87 @@
+"""The verb capture, and the choice of a station."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+
+from reorient.cli.arguments import Metavar, Positional
+from reorient.errors import ReorientError
+
+if TYPE_CHECKING:
+    from reorient.controller.station import Station
+
+
+@dataclass(frozen=True)
+class StationChoice:
+    """The station."""
+
+    station: Annotated[str, Metavar("MODULE:CLASS")] = "rendered"
+    """A class of your own, importable from here and made without arguments, or 'rendered' for a simulated station."""
+    object_index: int = 0
+    """Number of the generated object at the simulated station."""
+    pose_seed: int = 0
+    """Seed of its first pose."""
+    start_deg: float = 0.0
+    """Angle of its orientation from the first one, about a random axis."""
+    noise_mm: float = 0.0
+    """Standard deviation of its depth noise."""
+
+    def open(self) -> "Station":
+        """The station, ready. Raises ReorientError where it cannot be made."""
+        from reorient.stations import load_station
+
+        if self.station != "rendered":
+            return load_station(self.station)
+        return self._rendered()
+
+    def _rendered(self) -> "Station":
+        from reorient.stations.rendered import RenderedStation
+        from reorient.world.objects import generated
+        from reorient.world.rendering import load_world
+        from reorient.world.sensing import randomised
+
+        if not all(0 <= x < np.inf for x in (self.object_index, self.pose_seed, self.start_deg, self.noise_mm)):
+            raise ReorientError("expected a finite object index, seed, angle and noise, none below 0")
+        objects = generated(self.object_index + 1)
+        rng, sensor = np.random.default_rng(self.pose_seed), randomised(self.noise_mm / 1000)
+        station = RenderedStation(objects.load(objects.names[-1]), load_world("benchmark"), sensor, rng)
+        rotate_away(station, self.start_deg, rng)
+        return station
+
+
+def rotate_away(station: Any, angle_deg: float, rng: np.random.Generator) -> None:
+    """Rotate the object of a simulated station about a random axis."""
+    from reorient import so3
+
+    angle_rad = np.radians(angle_deg)
+    station.rotate(so3.matrix_from_quat(so3.sample_bounded(rng, 1, angle_rad, angle_rad))[0])
+
+
+@dataclass(frozen=True)
+class Capture:
+    """Capture the goal image at a station.
+
+    Examples:
+        reorient capture goal.npz --station my_cell:MyStation
+    """
+
+    out: Annotated[Positional[Path], Metavar("GOAL")]
+    """File to write: .npz, .tif, or .png with steps of 0.1 mm. Each also holds the camera."""
+    choice: StationChoice = field(default_factory=StationChoice)
+
+    def run(self) -> None:
+        """Capture and write."""
+        from reorient.controller.station import captured
+        from reorient.imaging.files import write_depth
+
+        station: Any = self.choice.open()
+        try:  # a simulated gripper can be left out of the goal image
+            image = captured(station.capture_goal() if hasattr(station, "capture_goal") else station.capture())
+        except ReorientError:
+            raise
+        except Exception as error:
+            raise ReorientError(f"the station failed to capture ({type(error).__name__}: {error})") from error
+        write_depth(self.out, image, scale_m=0.0001)
+        print(self.out)

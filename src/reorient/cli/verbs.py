@@ -1,0 +1,93 @@
+"""The verbs, by group: the class behind each, imported only when it is asked for, and its line in the help."""
+
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Protocol, cast
+
+from reorient.cli.arguments import did_you_mean
+from reorient.errors import ReorientError
+
+HELP = ("-h", "--help")
+
+
+class Command(Protocol):
+    """What the class of a verb makes of its options."""
+
+    def run(self) -> int | None:
+        """Do it; the exit code, None for 0."""
+
+
+@dataclass(frozen=True)
+class Verb:
+    """A verb of the command line."""
+
+    place: str
+    """Module of ``reorient.cli`` and class, ``estimating:Estimate``."""
+    summary: str
+    """One sentence, which also begins the docstring of the class."""
+
+    def load(self) -> type[Command]:
+        """The class."""
+        module, _, name = self.place.partition(":")
+        return cast(type[Command], getattr(import_module(f"reorient.cli.{module}"), name))
+
+
+GROUPS = {
+    "estimate": {
+        "estimate": Verb("estimating:Estimate", "Estimate the rotation between two depth images of one object."),
+    },
+    "robot": {
+        "demo": Verb("demo:Demo", "Rotate a simulated object to a goal, and write a GIF and a page of the run."),
+        "capture": Verb("stations:Capture", "Capture the goal image at a station."),
+        "orient": Verb("robot:Orient", "Rotate the object at a station until it matches the goal image."),
+        "replay": Verb("robot:Replay", "Run a recorded loop again, without its station."),
+    },
+    "measure": {
+        "evaluate": Verb("offline:Evaluate", "Measure the errors of estimators on simulated pairs of images."),
+        "report": Verb("offline:Report", "Write an HTML page of an evaluation."),
+        "loops": Verb("loops:Loops", "Measure closed loops at simulated stations."),
+        "cell": Verb("cell:Cell", "Run the experiment with physical objects in a simulated robot cell."),
+        "reproduce": Verb("reproducing:Reproduce", "Make a figure of the paper again."),
+    },
+    "objects": {
+        "objects make": Verb("objects:Make", "Write the meshes of an object set to a folder."),
+        "objects list": Verb("objects:List", "Print the names of an object set."),
+        "objects check": Verb("objects:Check", "Measure shape and symmetry of every object of a set."),
+        "objects montage": Verb("objects:Montage", "Draw the objects of a set in one picture."),
+    },
+    "learn": {
+        "generate": Verb("learning:Generate", "Generate pairs of depth images with known rotations for training."),
+        "train": Verb("learning:Train", "Train a network on generated pairs."),
+        "export": Verb("learning:Export", "Convert trained weights to ONNX, which the estimators read."),
+        "verifier make": Verb("verifier:Make", "Generate hypotheses of known error to train the verifier on."),
+        "verifier train": Verb("verifier:Train", "Train the verifier on generated hypotheses."),
+    },
+}
+VERBS = {name: verb for group in GROUPS.values() for name, verb in group.items()}
+
+
+def find(words: list[str]) -> str | None:
+    """The verb that a command line begins with; None where it asks for the list of verbs.
+
+    Raises ReorientError for an unknown verb.
+    """
+    name = next((" ".join(words[:n]) for n in (2, 1) if " ".join(words[:n]) in VERBS), None)
+    if name is not None:
+        return name
+    family = [verb for verb in VERBS if verb.startswith(f"{words[0]} ")]
+    if words[0] in HELP or (family and words[-1] in HELP):
+        return None
+    if family and len(words) == 1:
+        raise ReorientError(f"incomplete verb {words[0]!r}: expected one of {', '.join(map(repr, family))}")
+    asked = " ".join(words[: 2 if family else 1])
+    raise ReorientError(f"unknown verb {asked!r}{did_you_mean(asked, list(VERBS)) or ' (see reorient --help)'}")
+
+
+def overview(family: str = "") -> str:
+    """All verbs, one a line, by group; ``family``: only those that begin with this word."""
+    lines = []
+    for group, verbs in GROUPS.items():
+        shown = {name: verb for name, verb in verbs.items() if name.startswith(family)}
+        if shown:
+            lines += ["", f"{group}:", *(f"  {name:16s} {verb.summary}" for name, verb in shown.items())]
+    return "\n".join(lines)

@@ -1,0 +1,24 @@
+"""Numbers as text, the same in the command line, reports and messages. A missing value (None or NaN) prints as "-"."""
+
+import math
+
+MISSING = "-"
+
+
+def format_probability(probability: float | None) -> str:
+    """One decimal, at most "99.9%": an estimated probability is never certain. 0.9989 and 1.0 give "99.9%"."""
+    if probability is None or math.isnan(probability):
+        return MISSING
+    return f"{min(100 * probability, 99.9):.1f}%"
+
+
+def format_share(share: float | None) -> str:
+    """Whole percent of a counted part; "100%" only for all of it: 0.304 gives "30%", 0.9989 gives "99%"."""
+    if share is None or math.isnan(share):
+        return MISSING
+    return f"{100 * share if share >= 1 else min(100 * share, 99):.0f}%"
+
+
+def format_number(value: float | None, decimals: int = 2) -> str:
+    """A number with a fixed count of decimals."""
+    return MISSING if value is None or math.isnan(value) else f"{value:.{decimals}f}"
