@@ -182,9 +182,9 @@ def test_broken_records_are_refused(broken, said, capsys, tmp_path, unchecked):
     assert said in refused(capsys, "replay", tmp_path)
 
 
-def test_the_judge_is_not_trained_without_the_extra(capsys, tmp_path, monkeypatch):
+def test_the_verifier_is_not_trained_without_the_extra(capsys, tmp_path, monkeypatch):
     monkeypatch.setattr("reorient.cli.learning.find_spec", lambda module: None)
-    assert "sklearn is not installed: expected `pip install" in refused(capsys, "judge", "train", tmp_path, "judge.npz")
+    assert "sklearn is not installed: expected `pip install" in refused(capsys, "verifier", "train", tmp_path, "verifier.npz")
 
 
 def test_the_strategy_follows_the_confidence(capsys, tmp_path, monkeypatch):
@@ -298,7 +298,7 @@ def test_usage_errors_are_one_line(capsys, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "verb", [["evaluate", "out", "--pairs"], ["cell", "out", "--trials"], ["judge", "make", "out", "--pairs"]]
+    "verb", [["evaluate", "out", "--pairs"], ["cell", "out", "--trials"], ["verifier", "make", "out", "--pairs"]]
 )
 def test_what_a_config_refuses_is_said_in_its_own_words(verb, capsys):
     assert refused(capsys, *verb, 0).startswith("reorient: expected at least one ")

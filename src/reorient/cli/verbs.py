@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Protocol, cast
+from typing import Protocol, cast, runtime_checkable
 
 from reorient.cli.arguments import did_you_mean
 from reorient.errors import ReorientError
@@ -10,6 +10,7 @@ from reorient.errors import ReorientError
 HELP = ("-h", "--help")
 
 
+@runtime_checkable
 class Command(Protocol):
     """What the class of a verb makes of its options."""
 

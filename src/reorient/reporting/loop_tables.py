@@ -5,6 +5,7 @@ from itertools import groupby
 from pathlib import Path
 
 import numpy as np
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from scipy.stats import binomtest
 
@@ -14,14 +15,15 @@ from reorient.runs.run import Row
 
 FALSE_DEG = 5.0  # a loop that converges with a larger symmetry-aware error converges falsely
 HEADINGS = (
-    *("start", "noise", "slack", "faults", "system", "loops", "median°", "p90°", "< 1° (95% interval)", "< 5°"),
-    *("falsely converged", "unsure", "moves, median", "most", "images", "s"),
+    *("start and conditions", "system", "loops", "median°", "< 1° (95% interval)", "falsely converged", "unsure"),
+    *("moves, median", "most", "p90°", "< 5°", "images", "s"),
 )
 NOTE = (
-    "Errors are symmetry-aware. Falsely converged: status converged, error above 5 degrees. Unsure: any other status. "
-    "Both with their number and Wilson's 95% interval. s: mean processor time of a loop."
+    "Errors are symmetry-aware; intervals are Wilson's of 95%. Falsely converged: status converged, error above 5 "
+    "degrees. Unsure: any other status. s: mean processor time of a loop."
 )
-_WORDS = 5  # the first columns, set to the left
+_WORDS = 2  # the first columns, set to the left
+_ON_SCREEN = 8  # columns that fit
 
 
 def read_loop_rows(folder: Path) -> list[Row]:
@@ -30,26 +32,35 @@ def read_loop_rows(folder: Path) -> list[Row]:
 
 
 def loop_table(rows: Sequence[Row]) -> Table:
-    """One line for each start, noise and system, for the screen."""
-    table = Table(title="closed loops", title_justify="left", header_style="bold", caption=NOTE, caption_justify="left")
-    for index, heading in enumerate(HEADINGS):
-        table.add_column(heading, justify="left" if index < _WORDS else "right")
+    """One line for each start, condition and system; the columns that fit on the screen."""
+    table = Table(
+        title="closed loops",
+        title_justify="left",
+        caption=NOTE,
+        caption_justify="left",
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+    )
+    for index, heading in enumerate(HEADINGS[:_ON_SCREEN]):
+        table.add_column(heading, justify="left" if index < _WORDS else "right", overflow="fold")
     for line in _lines(rows):
-        table.add_row(*line)
+        table.add_row(*line[:_ON_SCREEN])
     return table
 
 
 def markdown_loops(rows: Sequence[Row]) -> str:
-    """The same table and its note in Markdown."""
+    """The whole table and its note in Markdown."""
     marks = ["---" if index < _WORDS else "---:" for index in range(len(HEADINGS))]
     return "\n".join(f"| {' | '.join(line)} |" for line in (HEADINGS, marks, *_lines(rows))) + f"\n\n{NOTE}\n"
 
 
 def _lines(rows: Sequence[Row]) -> Iterator[list[str]]:
-    def cell(row: Row) -> tuple[str, ...]:
-        start = row["start_deg"] if row["start_deg"] == "any" else f"{row['start_deg']}°"
-        system = f"{row['estimator']}/{row['strategy']}"
-        return start, f"{row['noise_mm']} mm", f"{row['slack_deg']}°", row["faults"], system
+    def cell(row: Row) -> tuple[str, str]:
+        conditions = [row["start_deg"] if row["start_deg"] == "any" else f"{row['start_deg']}°"]
+        conditions += [f"{row['noise_mm']} mm"]
+        conditions += [f"slack {row['slack_deg']}°"] * (row["slack_deg"] != "0")
+        conditions += [f"faults {float(row['faults']):.0%}"] * (row["faults"] != "0")
+        return ", ".join(conditions), f"{row['estimator']}/{row['strategy']}"
 
     for words, group in groupby(sorted(rows, key=cell), key=cell):
         yield [*words, *_numbers(list(group))]
@@ -61,24 +72,18 @@ def _numbers(rows: Sequence[Row]) -> list[str]:
     return [
         str(len(rows)),
         f"{np.median(error_deg):.2f}",
-        f"{np.percentile(error_deg, 90):.2f}",
-        _share(error_deg < 1),
-        f"{np.mean(error_deg < FALSE_DEG):.1%}",
-        _counted(converged & (error_deg > FALSE_DEG)),
-        _counted(~converged),
+        f"{np.mean(error_deg < 1):.1%} ({_interval(error_deg < 1)})",
+        *(f"{hits.sum()} ({_interval(hits)}%)" for hits in (converged & (error_deg > FALSE_DEG), ~converged)),
         f"{np.median(moves):g}",
         f"{moves.max():g}",
+        f"{np.percentile(error_deg, 90):.2f}",
+        f"{np.mean(error_deg < FALSE_DEG):.1%}",
         f"{np.median(images):g}",
         f"{np.mean([float(row['seconds'] or 'nan') for row in rows]):.1f}",
     ]
 
 
-def _share(hits: np.ndarray) -> str:
-    """A share with its interval, in percent."""
+def _interval(hits: np.ndarray) -> str:
+    """Wilson's interval of a share, in percent."""
     low, high = binomtest(int(hits.sum()), len(hits)).proportion_ci(method="wilson")
-    return f"{hits.mean():.1%} ({100 * low:.1f}–{100 * high:.1f})"
-
-
-def _counted(hits: np.ndarray) -> str:
-    """A number, and its share with the interval."""
-    return f"{hits.sum()}: {_share(hits)}"
+    return f"{100 * low:.1f}–{100 * high:.1f}"

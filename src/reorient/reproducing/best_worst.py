@@ -47,7 +47,8 @@ class BestWorst:
             Finding(
                 f"{name}, {end} of the pairs", float(row["error_deg"]), nan, nan, len(of(rows, name)),
                 paper=PAPER[end] if name == "paper" else "",
-                differs=f"full set's test objects; at {float(row['angle_deg']):.1f}°; best of those above {LEAST_DEG:g}°",
+                differs=f"full set's test objects; at {float(row['angle_deg']):.1f}°; "
+                f"best of those from {LEAST_DEG:g}°",
             )
             for name in estimators(rows)
             for end, row in _extremes(rows, name).items()

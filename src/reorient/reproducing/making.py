@@ -57,8 +57,8 @@ def verdicts(figure: Figure, part: Sequence[Finding], whole: Path, folder: Path)
         return [f"{name}: not compared, there are no whole rows ({error})"]
     if _objects(folder) - _objects(whole):
         return [f"{name}: not compared, the rows in {whole} are of other objects (see --meshes and --only)"]
-    judged = [(finding, full.get(finding.what)) for finding in part]
-    compared = [(a, b, held(a, b)) for a, b in judged if b is not None]
+    matched = [(finding, full.get(finding.what)) for finding in part]
+    compared = [(a, b, held(a, b)) for a, b in matched if b is not None]
     told = [(a, b, holds) for a, b, holds in compared if holds is not None]
     if not told:
         return [f"{name}: not compared, none of its {len(part)} numbers has an interval and a counterpart"]
