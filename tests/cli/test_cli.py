@@ -184,7 +184,8 @@ def test_broken_records_are_refused(broken, said, capsys, tmp_path, unchecked):
 
 def test_the_verifier_is_not_trained_without_the_extra(capsys, tmp_path, monkeypatch):
     monkeypatch.setattr("reorient.cli.learning.find_spec", lambda module: None)
-    assert "sklearn is not installed: expected `pip install" in refused(capsys, "verifier", "train", tmp_path, "verifier.npz")
+    message = refused(capsys, "verifier", "train", tmp_path, "verifier.npz")
+    assert "sklearn is not installed: expected `pip install" in message
 
 
 def test_the_strategy_follows_the_confidence(capsys, tmp_path, monkeypatch):

@@ -1,7 +1,7 @@
 """The paper's experiment on physical objects, in the simulated cell: objects x trials x systems, raw rows first.
 
 For each trial an object is put into the gripper in a random pose in which at least 70% of it is seen, the goal image is
-taken, the arm turns away, and each system closes the loop from the same start. A run folder holds ``config.json``,
+taken, the arm rotates it away, and each system closes the loop from the same start. A run folder holds ``config.json``,
 ``rows.csv.gz`` (one row an image, and one for the end of each loop) and ``masks.csv.gz`` (how well goal and start were
 segmented).
 """

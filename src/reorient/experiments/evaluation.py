@@ -61,24 +61,24 @@ COLUMNS = [
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What to measure."""
+    """Pairs and estimators to measure."""
 
     objects: ObjectSource = field(default_factory=ObjectSource)
-    """Whose pairs are drawn."""
+    """Objects of the pairs."""
     estimators: tuple[str, ...] = ("gicp", "icp")
-    """Names of estimators; each has a row for every pair."""
+    """Names of estimators, each with a row for every pair."""
     world: str = "benchmark"
     """Preset of camera, size and distance: benchmark or paper."""
     ranges_deg: tuple[tuple[float, float], ...] = ((0, 30), (30, 60))
     """Ranges of the angle between start and goal."""
     noise_mm: tuple[float, ...] = (0.0, 1.0)
-    """Depth noise of the structured-light sensor; 0: rectangle and dropouts alone."""
+    """Depth noise of the structured-light sensor. At 0 there are still rectangle and dropouts."""
     pairs: int = 300
-    """Pairs in each cell, spread over the objects."""
+    """Number of pairs for each range and noise, spread over the objects."""
     pivot: bool = False
     """Give the estimators the nominal pivot, up to 1 cm wrong along each axis."""
     seed: int = 0
-    """Of the pairs."""
+    """Seed of the pairs."""
 
     def __post_init__(self) -> None:
         """Raises ReorientError for what cannot be measured."""
@@ -186,7 +186,7 @@ def _estimates(
     group: SymmetryGroup,
     pivot_m: Float[np.ndarray, "3"] | None,
 ) -> list[dict[str, Any]]:
-    """What each estimator answers."""
+    """Cells of each estimator."""
     return [
         _estimate(own[name] if name in own else cached_estimator(name), pair, group, pivot_m)
         for name in config.estimators
@@ -196,7 +196,7 @@ def _estimates(
 def _estimate(
     estimator: Estimator, pair: Pair, group: SymmetryGroup, pivot_m: Float[np.ndarray, "3"] | None
 ) -> dict[str, Any]:
-    """One row's figures. An estimator that refuses has answered "no rotation"; the message says why."""
+    """Cells of one row. An estimator that raises ReorientError counts as "no rotation"; ``message`` is the error."""
     begin = time.process_time()
     try:
         answer = estimator.estimate(pair.current, pair.goal, pivot_m)

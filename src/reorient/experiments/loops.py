@@ -56,7 +56,7 @@ class Loops:
     noise_mm: tuple[float, ...] = (1.0,)
     """Depth noise."""
     faults: float = 0.0
-    """Probability of a fault at each capture and each move, of every kind of ``stations/faulty.py``."""
+    """Probability of a fault at each capture (stale, empty or no frame) and each move (slip, refused or partial)."""
     slack_deg: float = 0.0
     """Unknown error of each rotation of 30 degrees or more; in proportion for smaller rotations."""
     symmetric: bool = False
@@ -164,9 +164,9 @@ def _loop(trial: Trial, system: str) -> Row:
 def _start(rng: np.random.Generator, start_deg: str) -> Float[np.ndarray, "3 3"]:
     """The rotation from the goal to the start."""
     if start_deg == "any":
-        return so3.sample_uniform(rng, 1)[0]
+        return np.asarray(so3.sample_uniform(rng, 1)[0])
     angle_rad = float(np.radians(float(start_deg)))
-    return so3.matrix_from_quat(so3.sample_bounded(rng, 1, angle_rad, angle_rad))[0]
+    return np.asarray(so3.matrix_from_quat(so3.sample_bounded(rng, 1, angle_rad, angle_rad))[0])
 
 
 def _number(word: str) -> float:

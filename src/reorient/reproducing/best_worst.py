@@ -1,4 +1,4 @@
-"""The best and the worst prediction: start, goal, start turned by the estimate (paper, Figures 5 and 6).
+"""The best and the worst prediction: start, goal, start rotated by the estimate (paper, Figures 5 and 6).
 
 Of the network in the package on the non-symmetric test objects of the full set; with `swift` and `gicp` beside it.
 """
@@ -66,7 +66,7 @@ class BestWorst:
                 pictures += three_panels(row, config)
                 labels += [
                     f"{end}: start", f"goal, {float(row['angle_deg']):.1f}° away",
-                    f"start turned, {float(row['error_deg']):.2f}° off",
+                    f"start rotated, {float(row['error_deg']):.2f}° off",
                 ]  # fmt: skip
             sheet = montage(pictures, 3, labels)
             written.append(folder / f"{name}.png")

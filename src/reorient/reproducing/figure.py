@@ -21,7 +21,7 @@ class Figure(Protocol):
         ...
 
     def measure(self, setting: Setting) -> None:
-        """Leave raw rows in ``setting.folder(name)``; goes on where an interrupted run stopped."""
+        """Leave raw rows in ``setting.folder(name)``; continues where an interrupted run stopped."""
         ...
 
     def findings(self, folder: Path) -> Sequence[Finding]:

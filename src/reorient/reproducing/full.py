@@ -1,6 +1,6 @@
 """ShapeMatch error against angle on the full set, symmetric objects among them (paper, Figure 7).
 
-And what becomes of a network trained with ShapeMatch alone: the paper says that it averages q and -q, so that its real
+And the result of training with ShapeMatch alone: according to the paper the network averages q and -q, its real
 part comes near zero.
 """
 
@@ -111,10 +111,10 @@ class Full:
         for name in (name for name in estimators(shapes) if name.startswith(LEARNED)):
             mine = of(shapes, name)
             real, groups = numbers(mine, "raw_real"), objects_of(mine)
-            said = "near zero" if name.startswith(ALONE) else ""
-            differs = "the last layer begins near no rotation" if said else ""
+            paper = "near zero" if name.startswith(ALONE) else ""
+            differs = "the last layer begins near no rotation" if paper else ""
             words = f"{name}: mean absolute real part"
-            found.append(number(words, np.abs(real), groups, "mean", unit="", paper=said, differs=differs))
+            found.append(number(words, np.abs(real), groups, "mean", unit="", paper=paper, differs=differs))
             found.append(share(f"{name}: real part negative", real < 0, groups))
         return found
 
@@ -142,7 +142,7 @@ class Full:
             ),
             "Real part of the raw answer": (
                 histograms(real, np.linspace(-1, 1, 81), "real part of the network's quaternion", unit=""),
-                "The paper says that ShapeMatch alone brings it near zero; the truth is above 0.966 for all pairs.",
+                "According to the paper, ShapeMatch alone brings it near zero; the truth is above 0.966 for all pairs.",
             ),
         }  # fmt: skip
         count = len(set(objects_of(rows)))

@@ -59,14 +59,14 @@ def verdicts(figure: Figure, part: Sequence[Finding], whole: Path, folder: Path)
         return [f"{name}: not compared, the rows in {whole} are of other objects (see --meshes and --only)"]
     matched = [(finding, full.get(finding.what)) for finding in part]
     compared = [(a, b, held(a, b)) for a, b in matched if b is not None]
-    told = [(a, b, holds) for a, b, holds in compared if holds is not None]
-    if not told:
+    decided = [(a, b, holds) for a, b, holds in compared if holds is not None]
+    if not decided:
         return [f"{name}: not compared, none of its {len(part)} numbers has an interval and a counterpart"]
-    failed = [f"  differs: {a.what}: {_said(a)}, whole {_said(b)}" for a, b, holds in told if not holds]
-    without = len(part) - len(told)
+    failed = [f"  differs: {a.what}: {_in_words(a)}, whole {_in_words(b)}" for a, b, holds in decided if not holds]
+    without = len(part) - len(decided)
     missing = f"; {without} have no interval or no counterpart" if without else ""
-    verdict = "holds" if len(failed) <= _expected(len(told)) else "DOES NOT HOLD"
-    head = f"{name}: {verdict}: {len(told) - len(failed)} of {len(told)} numbers agree within their 95% intervals"
+    verdict = "holds" if len(failed) <= _expected(len(decided)) else "DOES NOT HOLD"
+    head = f"{name}: {verdict}: {len(decided) - len(failed)} of {len(decided)} numbers agree within their 95% intervals"
     return [f"{head} (one in twenty may differ by chance, twice as many where they fail together){missing}", *failed]
 
 
@@ -75,7 +75,7 @@ def _expected(n: int) -> int:
     return max(1, round(0.1 * n))
 
 
-def _said(finding: Finding) -> str:
+def _in_words(finding: Finding) -> str:
     value, between = cells(finding)[2:4]
     return f"{value} ({between}, n = {finding.n})"
 

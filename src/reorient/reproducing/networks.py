@@ -1,6 +1,6 @@
 """The networks of a figure: pairs drawn, a training run, its weights as ONNX. Needs the extra ``train``.
 
-Every step goes on where an earlier one stopped, and is left out where its result is there.
+Every step continues where an earlier one stopped, and is left out where its result exists.
 """
 
 import shutil

@@ -25,7 +25,7 @@ SETS = {"non-symmetric set": "100", "full set": "872"}  # and the paper's number
 
 @dataclass(frozen=True)
 class Sets:
-    """What is looked at."""
+    """Sets to describe."""
 
     sets: dict[str, ObjectSource]
     every: int

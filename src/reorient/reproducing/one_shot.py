@@ -47,7 +47,7 @@ def of(rows: Sequence[Row], estimator: str) -> list[Row]:
 
 
 def objects_of(rows: Sequence[Row]) -> list[str]:
-    """Whose row each is."""
+    """The object of each row."""
     return [row["object"] for row in rows]
 
 

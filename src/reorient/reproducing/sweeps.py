@@ -91,10 +91,10 @@ class SweepFigure:
             self.sweeps[sweep].axis: {self.sweeps[sweep].words(level): at for level, at in levels.items()}
             for sweep, levels in sweeps.items()
         }
-        said = conclude(in_words)
+        sentences = conclude(in_words)
         text = folder / "conclusions.md"
         with replacing(text) as temporary:
-            temporary.write_text("# Where learning beats geometry\n\n" + "".join(f"- {line}\n" for line in said))
+            temporary.write_text("# Where learning beats geometry\n\n" + "".join(f"- {line}\n" for line in sentences))
         rows = [row for levels in sweeps.values() for at in levels.values() for row in at]
         pairs = len({row["pair"] for row in rows})
         lead = (
@@ -104,7 +104,7 @@ class SweepFigure:
                 "networks were trained on 0 to 30 degrees."
             )
         )
-        more = {"Conclusions": "<ul>" + "".join(f"<li>{escape(line)}</li>" for line in said) + "</ul>"}
+        more = {"Conclusions": "<ul>" + "".join(f"<li>{escape(line)}</li>" for line in sentences) + "</ul>"}
         return [
             text,
             *write_page(folder, "Where does learning beat geometry?", lead, self.findings(folder), figures, more),

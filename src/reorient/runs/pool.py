@@ -5,6 +5,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from threading import Thread
 from typing import Any, Literal, TypeVar
 
@@ -73,11 +74,10 @@ class Pool:
 def _ray() -> Any:
     """Ray, connected, and known to joblib."""
     try:
-        import ray
-        from ray.util.joblib import register_ray
+        ray, ray_joblib = import_module("ray"), import_module("ray.util.joblib")
     except ImportError as error:
         raise ReorientError("ray is not installed: expected `pip install 'reorient[cluster]'`") from error
-    register_ray()
+    ray_joblib.register_ray()
     if not ray.is_initialized():
         ray.init(include_dashboard=False, log_to_driver=False)
     return ray
