@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 PACKAGES = ("registration", "estimators", "controller")
-NEUTRAL = {0, 1, 0.0, 1.0}
+NEUTRAL = {0, 1}
 
 
 def numbers(node: ast.expr) -> list[float]:

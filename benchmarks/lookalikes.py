@@ -1,4 +1,4 @@
-"""Of two poses that both match the goal, which is chosen? By the share of points that fits, and depth by depth.
+"""Of two poses that both match the goal, which is chosen? By inlier ratios, and by depth differences.
 
     python benchmarks/lookalikes.py results/lookalikes.csv.gz --meshes FOLDER --only results/household-tuning.txt
 
@@ -16,14 +16,12 @@ import numpy as np
 import trimesh
 import tyro
 from jaxtyping import Float
-from reorient.estimators.default import pose
-from reorient.registration.refine import Hypotheses, descend
 from rich.progress import track
 
-from reorient import DepthImage, load_estimator, so3
-from reorient.controller.arrival import STAYING_RAD, likeness, misfit
-from reorient.estimators.base import Estimator, RotationEstimate
-from reorient.registration.evidence import View
+from reorient import load_estimator, so3
+from reorient.controller.arrival import ArrivalTest, Observation, PreparedImage
+from reorient.estimators.base import Estimator
+from reorient.registration import DepthView, build_problem, refine
 from reorient.runs.files import make_folder, write_table
 from reorient.stations.rendered import RenderedStation
 from reorient.world.objects import ObjectSource
@@ -33,7 +31,8 @@ from reorient.world.statistics import is_distinctive
 
 WORLD = load_world("benchmark")
 ALIKE_RMS_M, FAR_OFF_M, MOST_FAR_OFF = 0.002, 0.01, 0.06  # what counts as nearly the same
-SETTLING = (0.06, 0.04, 0.025, 0.015, 0.01, 0.006, 0.004)  # tolerances, in sizes
+TOLERANCES = (0.06, 0.04, 0.025, 0.015, 0.01, 0.006, 0.004)  # relative to the object diameter
+TEST = ArrivalTest()
 ARRIVAL_RAD = float(np.radians(0.2))
 
 
@@ -100,13 +99,13 @@ def _summarise(title: str, rows: list[dict[str, object]]) -> None:
     if not rows:
         return
     words = []
-    for column, said in (("by_depths", "depth by depth"), ("by_share", "by the share that fits")):
+    for column, name in (("by_depths", "by depths"), ("by_share", "by inlier ratios")):
         for_right = np.array([float(str(row[column])) for row in rows])
         wrong = ", ".join(
             f"{np.mean(np.abs(for_right) > limit):.0%} decided by {limit} ({np.sum(for_right < -limit)} wrong)"
             for limit in (2, 3)
         )
-        words.append(f"{said} {np.mean(for_right > 0):.0%} right, {wrong}")
+        words.append(f"{name} {np.mean(for_right > 0):.0%} right, {wrong}")
     print(f"{title}, n={len(rows)}: {'; '.join(words)}")
 
 
@@ -116,19 +115,19 @@ def _lookalike(station: RenderedStation, mesh: trimesh.Trimesh) -> tuple[Float[n
     found: list[tuple[float, Float[np.ndarray, "3 3"]]] = []
     try:
         axes = mesh.principal_inertia_vectors @ R_goal.T
-        for turn in (*so3.exp(np.pi * axes), *so3.exp(np.pi / 2 * axes)):
-            station.R_camera_object = turn @ R_goal
+        for rotation in (*so3.exp(np.pi * axes), *so3.exp(np.pi / 2 * axes)):
+            station.R_camera_object = rotation @ R_goal
             image = station.capture_goal()
-            problem = pose(image, goal, None)
-            stay = np.eye(3)[None]
-            settled = descend(problem, Hypotheses(stay, problem.start(stay)), SETTLING, 1500)
-            if float(so3.angle(settled.R[0])) > STAYING_RAD:
+            problem = build_problem(image, goal, None)
+            aligned = refine(problem, problem.start(np.eye(3)[None]), TOLERANCES, 1500)
+            if float(so3.angle(aligned.R[0])) > TEST.same_rad:
                 continue
-            dz_m, missed = View(image).compare((goal.points() - settled.t_m[0]) @ settled.R[0])
-            off = np.minimum(np.abs(dz_m[missed == 0]), FAR_OFF_M)
-            far_off = np.mean((missed > 0) | (np.abs(dz_m) > FAR_OFF_M))
+            warped = DepthView(image).warp(((goal.points() - aligned.t_m[0]) @ aligned.R[0]).T)
+            missing = warped.silhouette_violation()
+            off = np.minimum(np.abs(warped.difference_m[~missing]), FAR_OFF_M)
+            far_off = np.mean(missing | (np.abs(warped.difference_m) > FAR_OFF_M))
             if off.size and far_off < MOST_FAR_OFF and np.sqrt(np.mean(off**2)) < ALIKE_RMS_M:
-                found.append((1000 * float(np.sqrt(np.mean(off**2))), settled.R[0] @ turn @ R_goal))
+                found.append((1000 * float(np.sqrt(np.mean(off**2))), aligned.R[0] @ rotation @ R_goal))
     except np.linalg.LinAlgError:  # a mesh without inertia
         return None
     finally:
@@ -145,20 +144,20 @@ def _compared(
     config: Lookalikes,
     rng: np.random.Generator,
 ) -> Iterator[tuple[int, float, float]]:
-    """By number of captures: log odds of the right pose against the other, by depths and by the share that fits."""
+    """By number of captures: log-odds of the right pose against the other, by depths and by inlier ratios."""
     station.R_camera_object = R_goal
-    goal = station.capture_goal()
-    seen: list[tuple[list[DepthImage], list[RotationEstimate]]] = []
+    goal = PreparedImage(station.capture_goal())
+    observed: list[list[Observation]] = []
     for R in (R_goal, R_other):
         station.R_camera_object = so3.exp(rng.normal(0, ARRIVAL_RAD, 3)) @ R
         images = [station.capture() for _ in range(max(config.captures))]
-        seen.append((images, [estimator.estimate(image, goal, station.pivot_m) for image in images]))
+        observed.append([Observation(x, estimator.estimate(x, goal.image, station.pivot_m)) for x in images])
     for count in config.captures:
-        (right, R_right), (other, R_wrong) = ((images[:count], estimates[:count]) for images, estimates in seen)
-        if any(all(float(so3.angle(e.R_goal_current)) > STAYING_RAD for e in x) for x in (R_right, R_wrong)):
+        right, other = (x[:count] for x in observed)
+        if any(all(x.estimate.angle_rad > TEST.same_rad for x in pose) for pose in (right, other)):
             continue  # not an arrival: no estimate stays
-        nats = count * (misfit(other, goal, R_wrong) - misfit(right, goal, R_right))
-        yield count, nats, likeness(right, goal, R_right) - likeness(other, goal, R_wrong)
+        nats = count * (TEST.depth_nll(other, goal) - TEST.depth_nll(right, goal))
+        yield count, nats, TEST.log_odds(right, goal) - TEST.log_odds(other, goal)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
-"""A station of your own: a class with capture(), rotate(R_step) and pivot_m. Copy, and put your drivers in.
+"""A station of your own: a class with capture(), rotate(R_step) and pivot_m. Copy it, and put your drivers in.
 
-    reorient capture goal.npz --station examples.my_station:TurntableStation
+    reorient capture goal.npz --station examples.my_station:at_goal
     reorient orient goal.npz --station examples.my_station:TurntableStation
 
-This one is a simulated turntable, so that the example runs without hardware: it holds a generated object 25 degrees
-away from where it was taught, and can only turn about the camera's vertical axis, which it honestly reports.
+This one is a simulated turntable, so that the example runs without hardware. Its object stands 25 degrees away from the
+goal. It can only rotate about the camera's vertical axis, at most 10 degrees a move, and reports what it did.
 """
 
 import numpy as np
@@ -15,25 +15,38 @@ from reorient.world.objects import generated
 from reorient.world.rendering import load_world
 from reorient.world.sensing import randomised
 
+LARGEST_MOVE_RAD = np.radians(10)
+
 
 class TurntableStation:
-    """One axis, and no more than 10 degrees a move."""
+    """One vertical axis."""
 
-    def __init__(self) -> None:
-        objects = generated(1)
-        rng = np.random.default_rng(0)
-        self._cell = RenderedStation(objects.load(objects.names[0]), load_world("benchmark"), randomised(), rng)
+    def __init__(self, start_deg: float = 25.0) -> None:
+        objects = generated(5)
+        sensor, rng = randomised(noise_m=0.001), np.random.default_rng(0)
+        self._cell = RenderedStation(objects.load(objects.names[4]), load_world("benchmark"), sensor, rng)
+        self._cell.rotate(about_vertical(np.radians(start_deg)))
 
     @property
     def pivot_m(self) -> np.ndarray:
-        """Where the table's axis passes through the object, camera axes; good to about 1 cm."""
+        """The point of the object on the axis, camera axes, metres; good to about 1 cm."""
         return self._cell.pivot_m
 
     def capture(self) -> DepthImage:
-        """Ask your camera for depth in metres, and isolate the object (reorient.imaging.isolate)."""
+        """Get a depth image in metres from your camera, and isolate the object (reorient.imaging.isolate)."""
         return self._cell.capture()
 
     def rotate(self, R_step: np.ndarray) -> np.ndarray:
-        """Turn as far as the table can, and return what was really done: here, the part about the vertical axis."""
-        about_y = float(np.clip(so3.log(R_step)[1], np.radians(-10), np.radians(10)))
-        return self._cell.rotate(so3.exp(np.array([0.0, about_y, 0.0])))
+        """Rotate as far as the table can, and return the rotation made: here the part about the vertical axis."""
+        angle_rad = np.clip(so3.log(R_step)[1], -LARGEST_MOVE_RAD, LARGEST_MOVE_RAD)
+        return self._cell.rotate(about_vertical(angle_rad))
+
+
+def about_vertical(angle_rad: float) -> np.ndarray:
+    """The rotation about the camera's y axis."""
+    return so3.exp(np.array([0.0, angle_rad, 0.0]))
+
+
+def at_goal() -> TurntableStation:
+    """The station with its object at the goal, to capture the goal image."""
+    return TurntableStation(start_deg=0.0)

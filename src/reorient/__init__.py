@@ -9,7 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from reorient.controller import Fusing, Limits, OrientResult, Proportional, Step, orient
+    from reorient.controller import Algorithm1, Fusing, Limits, OrientResult, Step, load_strategy, orient
     from reorient.controller.station import Station
     from reorient.errors import ReorientError, StationError
     from reorient.estimators import load_estimator
@@ -18,23 +18,24 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0.dev0"
 __all__ = [
+    "Algorithm1",
     "Camera",
     "DepthImage",
     "Estimator",
     "Fusing",
     "Limits",
     "OrientResult",
-    "Proportional",
     "ReorientError",
     "RotationEstimate",
     "Station",
     "StationError",
     "Step",
     "load_estimator",
+    "load_strategy",
     "orient",
 ]
 _MODULES = {
-    "controller": ("Fusing", "Limits", "OrientResult", "Proportional", "Step", "orient"),
+    "controller": ("Algorithm1", "Fusing", "Limits", "OrientResult", "Step", "load_strategy", "orient"),
     "controller.station": ("Station",),
     "errors": ("ReorientError", "StationError"),
     "estimators": ("load_estimator",),

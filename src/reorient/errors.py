@@ -1,16 +1,16 @@
-"""What a user sees when something is wrong: what it was, what was expected, what to do."""
+"""Errors that a user sees: what is wrong, what was expected, what to do."""
 
 
 class ReorientError(ValueError):
-    """Bad input, said in one line; the command line prints it and exits with code 2."""
+    """Bad input, described in one line; the command line prints it and exits with code 2."""
 
 
 class StationError(ReorientError):
-    """The camera or the robot failed: no frame, a refused move."""
+    """A camera or a robot failed: no frame, a refused move."""
 
 
 def unknown_name(kind: str, name: str, known: list[str]) -> ReorientError:
-    """The error for a name that nothing answers to: names all that would, and the nearest."""
+    """The error for an unknown name: it lists the known names, and suggests the nearest."""
     import difflib
 
     near = difflib.get_close_matches(name, known, n=1)

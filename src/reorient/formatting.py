@@ -13,10 +13,12 @@ def format_probability(probability: float | None) -> str:
 
 
 def format_share(share: float | None) -> str:
-    """Whole percent of a counted part; "100%" only for all of it: 0.304 gives "30%", 0.9989 gives "99%"."""
+    """Whole percent of a counted part: 0.304 gives "30%", 0.9989 ">99%", 0.002 "<1%"; "100%" is all, "0%" none."""
     if share is None or math.isnan(share):
         return MISSING
-    return f"{100 * share if share >= 1 else min(100 * share, 99):.0f}%"
+    if 0 < share < 0.005:
+        return "<1%"
+    return ">99%" if 0.995 <= share < 1 else f"{100 * share:.0f}%"
 
 
 def format_number(value: float | None, decimals: int = 2) -> str:

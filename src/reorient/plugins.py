@@ -1,4 +1,4 @@
-"""Classes of the user's own, named on the command line as ``my_module:MyClass``."""
+"""User classes, named on the command line as ``my_module:MyClass``."""
 
 import importlib
 import sys
@@ -8,9 +8,9 @@ from reorient.errors import ReorientError
 
 
 def make_own(kind: str, name: str) -> object:
-    """An object of a class ``my_module:MyClass``: imported (the working folder included) and called with nothing.
+    """Import ``my_module:MyClass``, from the working folder too, and call it without arguments.
 
-    ``kind``: what it is, for the errors. Raises ReorientError where that cannot be.
+    ``kind``: "station" or the like, for messages. Raises ReorientError where the import or the call fails.
     """
     module_name, _, attribute = name.partition(":")
     if str(Path.cwd()) not in sys.path:

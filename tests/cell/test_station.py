@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from reorient import Proportional, Station, load_estimator, orient, se3, so3
+from reorient import Algorithm1, Station, load_estimator, orient, se3, so3
 from reorient.errors import ReorientError, StationError
 from reorient.perception.calibration import Calibration
 from reorient.perception.colour import ColourRange
@@ -96,7 +96,7 @@ def test_the_loop_closes(mesh, segmentation):
     axes = so3.sample_axes(np.random.default_rng(2), 50)
     cell.rotate(next(R for R in so3.exp(np.radians(30) * axes) if cell.reachable(R)))
     assert so3.angle_difference(cell.plant.R_world_object, R_goal) > np.radians(29)
-    result = orient(cell, goal, load_estimator("gicp"), Proportional(max_steps=8, eta=1.0))
+    result = orient(cell, goal, load_estimator("gicp"), Algorithm1(max_images=8, eta=1.0))
     assert so3.angle_difference(cell.plant.R_world_object, R_goal) < np.radians(1.5), result.reason
     assert result.converged, result.reason
 

@@ -1,7 +1,5 @@
 """Rotation search: any rotation, alternatives, history, confidence; its search, verifier and polish."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import trimesh
@@ -16,7 +14,6 @@ from reorient.estimators.verifier import FEATURES, Verifier, features, load_veri
 from reorient.imaging import Camera, DepthImage
 from reorient.registration import Hypotheses, build_problem
 from reorient.registration.depth_view import LARGEST_PX, compact
-from reorient.reporting.explaining import in_words, picture
 from reorient.world.pairs import sample_pair
 from reorient.world.rendering import Placement, Renderer, load_world
 from reorient.world.sensing import Sensor, randomised
@@ -235,25 +232,3 @@ def test_icp_is_kept_unless_it_loses_score(mesh):
     kept = choose(problem, truth, slid)
     assert kept.hypothesis is truth
     assert kept.converged is False
-
-
-# --- words and pictures ---------------------------------------------------------------------------------------------
-
-
-def test_words_and_picture(mesh):
-    pair = pair_of(mesh, 2, 40)
-    estimate = load_estimator("fast").estimate(pair.current, pair.goal, pair.pivot_m)
-    assert "sure to be within 5 degrees" in in_words(estimate)
-    drawn = picture(pair.current, pair.goal, estimate, size_px=64)
-    assert drawn.width > 4 * 64 - 8
-    assert "not calibrated" in in_words(load_estimator("gicp").estimate(pair.current, pair.goal))
-
-
-def test_words_of_a_symmetric_object(mesh):
-    pair = pair_of(mesh, 2, 40)
-    estimate = load_estimator("fast").estimate(pair.current, pair.goal, pair.pivot_m)
-    flipped = so3.exp(np.array([0.0, np.pi, 0.0])) @ estimate.R_goal_current
-    words = in_words(replace(estimate, alternatives=((flipped, 0.4),)))
-    assert "2 orientations fit about equally well (60%, 40%)" in words
-    assert "symmetric about [" in words
-    assert "180 degrees from the answer" in words

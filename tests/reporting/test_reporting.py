@@ -4,7 +4,7 @@ import gzip
 import io
 import json
 import re
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +13,13 @@ from matplotlib.axes import Axes
 from PIL import Image
 from rich.console import Console
 
-from reorient import Proportional, load_estimator, orient, so3
+from reorient import Algorithm1, load_estimator, orient, so3
 from reorient.controller import OrientResult
 from reorient.errors import ReorientError
 from reorient.experiments.evaluation import COLUMNS, Evaluation, regenerate
+from reorient.formatting import format_share
 from reorient.imaging import DepthImage
+from reorient.registration import Evidence
 from reorient.reporting import (
     OVERLAP,
     figures,
@@ -337,7 +339,8 @@ def loop() -> tuple[DepthImage, OrientResult, list[float]]:
     def follow(step: object) -> None:
         errors_deg.append(float(np.degrees(so3.angle_difference(R_goal, station.R_camera_object))))
 
-    return goal, orient(station, goal, load_estimator("gicp"), Proportional(4, 0.6), subscribers=[follow]), errors_deg
+    strategy = Algorithm1(max_images=4, eta=0.6)
+    return goal, orient(station, goal, load_estimator("gicp"), strategy, subscribers=[follow]), errors_deg
 
 
 def test_loop_is_drawn(tmp_path, loop):
@@ -360,8 +363,8 @@ def test_loop_is_drawn(tmp_path, loop):
     start, middle, end = (decoded(stills)[-352:, left : left + 352] for left in (0, 357, 714))
     assert np.abs(end - middle).mean() < 0.7 * np.abs(start - middle).mean()
     assert "<title>A &lt;chair&gt;</title>" in html
-    assert "Ended without converging after 4 moves: limit of 4 images." in html
-    assert f"The true remaining angle went from 40.00 to {errors_deg[-1]:.2f} degrees." in html
+    assert "Max images after 4 moves: limit of 4 images." in html
+    assert f"The true remaining angle went from 40.00 to {errors_deg[-1]:.2f} deg." in html
     assert html.count("<tr>") == 1 + 4
     seen_deg = np.degrees(result.steps[0].estimate.angle_rad)
     assert f"<td>0</td><td>{seen_deg:.2f}°</td><td>40.00°</td><td>{0.6 * seen_deg:.2f}°</td>" in html
@@ -380,15 +383,18 @@ def test_loop_refuses(tmp_path, loop):
     with pytest.raises(ReorientError, match="3 errors for 4 steps: expected one for each image, or none"):
         write_loop(tmp_path, goal, result, errors_deg[:3], "")
     with pytest.raises(ReorientError, match=r"without a step \(no camera\)"):
-        write_loop(tmp_path, goal, OrientResult((), False, "no camera"), [], "")
+        write_loop(tmp_path, goal, OrientResult((), "station_failed", "no camera"), [], "")
     with pytest.raises(ReorientError, match="existing folder"):
         write_loop(tmp_path / "gone", goal, result, errors_deg, "")
     assert not list(tmp_path.iterdir())
 
 
 def test_evidence_in_words(loop):
-    evidence = loop[1].steps[0].estimate.evidence
-    against = evidence.free_space_violation + evidence.silhouette_violation
-    assert evidence_in_words(evidence).startswith(
-        f"{evidence.inlier_ratio:.0%} inliers (rms {1000 * evidence.residual_m:.1f} mm), {against:.0%} violations"
+    evidence = replace(loop[1].steps[0].estimate.evidence, converged=False)
+    violations = evidence.free_space_violation + evidence.silhouette_violation
+    assert evidence_in_words(evidence) == (
+        f"inliers {format_share(evidence.inlier_ratio)} ({format_share(evidence.covisible_inlier_ratio)} of co-visible "
+        f"points), violations {format_share(violations)}, occluded {format_share(evidence.occluded)}, residual "
+        f"{1000 * evidence.residual_m:.1f} mm; registration not converged"
     )
+    assert "residual - mm" in evidence_in_words(Evidence(0.0, 0.3, 0.7, 0.0, float("nan")))

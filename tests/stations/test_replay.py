@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from reorient import Fusing, Limits, Proportional, StationError, orient, so3
+from reorient import Algorithm1, Fusing, Limits, StationError, orient, so3
 from reorient.errors import ReorientError
 from reorient.estimators.base import RotationEstimate
 from reorient.registration import Evidence
@@ -29,8 +29,8 @@ class ByNumber:
         if np.count_nonzero(current.depth_m) < 20:
             raise ReorientError("current image has 1 returns")
         self.asked += 1
-        turn = so3.exp(np.array([0.9, 0.1, 0.0]) / self.asked**2)
-        return RotationEstimate(turn, np.zeros(3), Evidence(1, 0, 0, 0, 0.0), self.confidence)
+        R = so3.exp(np.array([0.9, 0.1, 0.0]) / self.asked**2)
+        return RotationEstimate(R, np.zeros(3), Evidence(1, 0, 0, 0, 0.0), self.confidence)
 
 
 @pytest.fixture
@@ -39,25 +39,25 @@ def station(mesh):
 
 
 def same(one, other):
-    assert (one.reason, one.converged, one.moves) == (other.reason, other.converged, other.moves)
+    assert (one.status, one.confidence, one.moves) == (other.status, other.confidence, other.moves)
     assert len(one.steps) == len(other.steps)
     for a, b in zip(one.steps, other.steps, strict=True):
         np.testing.assert_array_equal(a.image.depth_m, b.image.depth_m)
-        assert a.said == b.said
+        assert (a.message, a.phase) == (b.message, b.phase)
         for x, y in ((a.R_step, b.R_step), (a.R_executed, b.R_executed)):
             assert (x is None) == (y is None)
             if x is not None:
                 np.testing.assert_array_equal(x, y)
 
 
-@pytest.mark.parametrize("strategy", [Fusing(), Proportional(eta=0.7)])
+@pytest.mark.parametrize("strategy", [Fusing(), Algorithm1(eta=0.7)])
 def test_a_replay_decides_as_the_loop_did(tmp_path, station, strategy):
     goal = station.capture_goal()
     recording = RecordingStation(station, tmp_path / "record", goal, {"note": "any"})
     first = orient(recording, goal, ByNumber(0.9), strategy, limits=NOW)
-    recording.finish(first.reason, first.converged)
+    recording.finish(first)
     replayed = ReplayedStation(tmp_path / "record")
-    assert replayed.record["reason"] == first.reason
+    assert (replayed.record["status"], replayed.record["converged"]) == (first.status, first.converged)
     np.testing.assert_array_equal(replayed.goal().depth_m, goal.depth_m)
     same(orient(replayed, replayed.goal(), ByNumber(0.9), strategy, limits=NOW), first)
 
@@ -67,10 +67,10 @@ def test_failures_are_recorded_and_come_again(tmp_path, station):
     faulty = FaultyStation(station, np.random.default_rng(0), planned=["refused", "gone", "stale", "empty"])
     recording = RecordingStation(faulty, tmp_path / "record", goal, {})
     first = orient(recording, goal, ByNumber(0.9), Fusing(), limits=NOW)
-    assert len(first.faults) >= 4
+    assert len(first.errors) >= 4
     replayed = ReplayedStation(tmp_path / "record")
     again = orient(replayed, goal, ByNumber(0.9), Fusing(), limits=NOW)
-    assert [x.replace("recorded failure: StationError: ", "") for x in again.faults] == list(first.faults)
+    assert [x.replace("recorded error: StationError: ", "") for x in again.errors] == list(first.errors)
     assert again.moves == first.moves
 
 
@@ -94,9 +94,9 @@ def test_a_loop_that_leaves_the_record_is_told(tmp_path, station):
     recording.rotate(so3.exp(np.array([0.1, 0, 0])))
     replayed = ReplayedStation(tmp_path / "record")
     replayed.capture()
-    with pytest.raises(StationError, match="leaves the record at act 1: it asks to capture"):
+    with pytest.raises(StationError, match="leaves the record at act 1: capture requested"):
         replayed.capture()
-    with pytest.raises(StationError, match="asks for a move 5.7 degrees off"):
+    with pytest.raises(StationError, match="a move 5.7 deg off"):
         replayed.rotate(so3.exp(np.array([0.2, 0, 0])))
     replayed.rotate(so3.exp(np.array([0.1, 0, 0])))
     with pytest.raises(StationError, match="the record ends here"):
@@ -132,12 +132,13 @@ def test_what_can_be_reached_is_replayed_too(tmp_path, station):
     goal = station.capture_goal()
     recording = RecordingStation(Narrow(station), tmp_path / "record", goal, {})
     first = orient(recording, goal, ByNumber(0.9), Fusing(), limits=NOW)
-    assert any("cannot turn" in fault for fault in first.faults)
+    assert first.errors  # of moves that were replaced by nearer ones
+    assert first.moves
     replayed = ReplayedStation(tmp_path / "record")
     again = orient(replayed, goal, ByNumber(0.9), Fusing(), limits=NOW)
     same(again, first)
-    assert again.faults == first.faults
-    with pytest.raises(StationError, match="asks for the reach of another move"):
+    assert again.errors == first.errors
+    with pytest.raises(StationError, match="reachable\\(\\) of another move"):
         replayed.reachable(so3.exp(np.array([0, 0, 2.0])))
     RecordingStation(station, tmp_path / "other", goal, {})
     assert not hasattr(ReplayedStation(tmp_path / "other"), "reachable")
@@ -152,12 +153,12 @@ def test_odd_clocks_and_values_do_not_spoil_a_record(tmp_path, station, unchecke
         recording = RecordingStation(Narrow(station, clock_s), tmp_path / str(k), goal, {})
         result = orient(recording, goal, ByNumber(0.9), Fusing(), limits=NOW)
         assert result.moves
-        assert not any("clock" in fault or "JSON" in fault for fault in result.faults)
+        assert not any("clock" in error or "JSON" in error for error in result.errors)
         same(orient(ReplayedStation(tmp_path / str(k)), goal, ByNumber(0.9), Fusing(), limits=NOW), result)
     with pytest.raises(TypeError):
         recording._note({"capture": object()})
-    recording.finish("done", np.bool_(True))
-    assert json.loads((tmp_path / "1" / "record.json").read_text())["converged"] is True
+    recording.finish(result)
+    assert json.loads((tmp_path / "1" / "record.json").read_text())["status"] == result.status
 
 
 def test_a_station_that_cannot_tell_its_pivot_leaves_no_folder(tmp_path, station, unchecked):
@@ -165,8 +166,34 @@ def test_a_station_that_cannot_tell_its_pivot_leaves_no_folder(tmp_path, station
         pivot_m = property(lambda self: 1 / 0, lambda self, value: None)
 
     goal = station.capture_goal()
-    with pytest.raises(StationError, match="failed to tell its pivot_m: ZeroDivisionError"):
+    with pytest.raises(StationError, match="cannot read the station's pivot_m: ZeroDivisionError"):
         RecordingStation(Unhomed(station), tmp_path / "record", goal, {})
     assert not (tmp_path / "record").exists()
-    with pytest.raises(StationError, match="failed to tell its pivot_m: ZeroDivisionError"):
+    with pytest.raises(StationError, match="cannot read the station's pivot_m: ZeroDivisionError"):
         orient(Unhomed(station), goal, ByNumber())
+
+
+def test_an_interrupted_act_is_recorded(tmp_path, station):
+    def interrupted(R_step):
+        raise KeyboardInterrupt
+
+    goal = station.capture_goal()
+    station.rotate = interrupted
+    recording = RecordingStation(station, tmp_path / "record", goal, {})
+    result = orient(recording, goal, ByNumber(0.9), Fusing(), limits=NOW)
+    assert (result.status, len(result.steps), result.steps[0].motion_unknown) == ("interrupted", 1, True)
+    acts = json.loads((tmp_path / "record" / "record.json").read_text())["acts"]
+    assert [act.get("error", "")[:17] for act in acts] == ["", "KeyboardInterrupt"]
+
+
+@pytest.mark.parametrize("most_deg", [None, 300.0])
+def test_settings_of_earlier_records_are_read(tmp_path, station, most_deg):
+    goal = station.capture_goal()
+    RecordingStation(station, tmp_path / "record", goal, {})
+    file = tmp_path / "record" / "record.json"
+    earlier = {"strategy": ["auto", 20, None, 0.5], "largest_step_deg": 180.0, "largest_total_deg": most_deg}
+    file.write_text(json.dumps(json.loads(file.read_text()) | earlier))
+    record = ReplayedStation(tmp_path / "record").record
+    assert record["strategy"] == {"strategy": "auto", "max_images": 20, "eta": None, "delta_deg": 0.5}
+    limits = {"max_step_deg": 180.0, "max_rotation_deg": most_deg, "dry_run": False}
+    assert record["limits"] == limits

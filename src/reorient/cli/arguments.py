@@ -54,11 +54,14 @@ _LARGEST_WIDTH = 110  # of the help, characters
 def parse(config: type[T], program: str, arguments: Sequence[str]) -> T:
     """An object of the dataclass. Raises ReorientError for a bad command line; ``--help`` prints and exits with 0."""
     parser = make_parser(config, program)
+    if {"-h", "--help"} & set(arguments):
+        print(parser.format_help(), end="")  # argparse's own printing hides a closed pipe
+        raise SystemExit(0)
     words = [f" {word}" if _is_negative(word) else word for word in arguments]  # not an option to argparse: -1e-3
     given, extra = parser.parse_known_intermixed_args(words)
     if extra:
-        parser.error(_unexpected(extra[0].strip(), arguments, [option.flag for option in _flat(config)]))
-    built: T = _build(config, vars(given))
+        parser.error(_unexpected(extra[0], words, [option.flag for option in _flat(config)]))
+    built: T = _build(config, {name: value for name, value in vars(given).items() if value is not None})
     return built
 
 
@@ -82,7 +85,8 @@ def make_parser(config: type, program: str) -> argparse.ArgumentParser:
     for option in _flat(config):
         if option.group not in groups:
             title, _, description = option.group.partition("\n\n")
-            groups[option.group] = parser.add_argument_group(title.rstrip("."), " ".join(description.split()) or None)
+            title = title[0].lower() + title[1:].rstrip(".")
+            groups[option.group] = parser.add_argument_group(title, " ".join(description.split()) or None)
         option.add_to(positionals if option.positional else groups[option.group])
     options.add_argument("-h", "--help", action="help", help="Show this help and exit.")
     return parser
@@ -145,7 +149,7 @@ class _Option:
             args = get_args(self.kind)
             keywords["nargs"] = "+" if args[-1] is Ellipsis else len(args)
         if self.positional:
-            optional = {} if self.default is MISSING else {"nargs": "?"}
+            optional = {} if self.default is MISSING else {"nargs": "?", "default": None}
             group.add_argument(self.name, **keywords | optional)
         else:
             group.add_argument(self.flag, dest=self.name, required=self.default is MISSING, **keywords)
@@ -164,7 +168,7 @@ class _Option:
     def help(self) -> str:
         """The text below the field, and the default."""
         text = self.text.replace("``", "'")
-        if self.default in (MISSING, None, False, ()):
+        if self.default is MISSING or self.default is None or self.default is False or self.default == ():
             return text
         values = self.default if isinstance(self.default, tuple) else (self.default,)
         flat = [x for value in values for x in (value if isinstance(value, tuple) else (value,))]
@@ -254,13 +258,13 @@ def _converter(kind: Any) -> Callable[[str], Any]:
     return convert
 
 
-def _unexpected(word: str, arguments: Sequence[str], known: list[str]) -> str:
+def _unexpected(word: str, words: list[str], known: list[str]) -> str:
     """The message for a word that the parser could not place."""
     if word.startswith("-"):
         name = word.partition("=")[0]
         return f"unknown option {name!r}{did_you_mean(name, known)}"
-    before = [each for each in arguments[: arguments.index(word)] if each.startswith("--")]
-    return f"unexpected argument {word!r}" + (f" after the values of {before[-1]}" if before else "")
+    before = [each for each in words[: words.index(word)] if each.startswith("--")]
+    return f"unexpected argument {word.strip()!r}" + (f" after {before[-1]}" if before else "")
 
 
 def did_you_mean(name: str, known: Sequence[str]) -> str:

@@ -30,8 +30,8 @@ class Demo:
     """Angle between start and goal."""
     noise_mm: float = 1.0
     """Standard deviation of the depth noise."""
-    estimator: str = "default"
-    """Name of the estimator, an .onnx file, or a class of your own as module:Class."""
+    estimator: str = "rotation-search"
+    """One of rotation-search, fast, thorough, gicp, icp, swift and paper, an .onnx file, or your own module:Class."""
     seed: int = 0
     """Seed of the poses and the noise."""
 

@@ -1,4 +1,4 @@
-"""The verb estimate: the rotation between two image files, and how their frames are read."""
+"""The verb estimate, the options that isolate an object, and the text of an estimate."""
 
 import json
 from dataclasses import asdict, dataclass, field
@@ -24,7 +24,7 @@ T = TypeVar("T")
 class Frames:
     """Reading and isolation of the images.
 
-    One value is for both images, two are for CURRENT and GOAL; '-' is none, as in --near 0.3 -
+    One value is for both images, two are for CURRENT and GOAL. The value '-' is none: "--near 0.3 -" limits CURRENT.
     """
 
     camera: Annotated[tuple[str, ...], Metavar("PATH")] = ()
@@ -95,8 +95,8 @@ class Estimate:
     goal: Positional[Path]
     """Depth image of the object as it should be."""
     frames: Frames = field(default_factory=Frames)
-    estimator: str = "default"
-    """Name of the estimator, an .onnx file, or a class of your own as module:Class."""
+    estimator: str = "rotation-search"
+    """One of rotation-search, fast, thorough, gicp, icp, swift and paper, an .onnx file, or your own module:Class."""
     pivot: Annotated[tuple[float, float, float] | None, Metavar(("X", "Y", "Z"))] = None
     """Rotation centre in camera axes, in metres, if known to about 1 cm."""
     json: bool = False
@@ -150,7 +150,7 @@ def in_words(estimate: "RotationEstimate") -> str:
     lines = [
         f"rotation      {_rotation(estimate.R_goal_current)} (camera axes)",
         f"quaternion    {_vector(estimate.quat_wxyz, 6)} (wxyz)",
-        *(f"{'' if i else 'matrix':13s} {' '.join(f'{x:9.6f}' for x in row)}" for i, row in enumerate(rows)),
+        *(f"{'' if i else 'matrix':13s} {' '.join(f'{x:z9.6f}' for x in row)}" for i, row in enumerate(rows)),
         f"translation   {_vector(estimate.t_goal_current_m, 4)} m",
         f"confidence    {confidence_in_words(estimate.confidence)}",
         f"inliers       {inliers_in_words(evidence)}, residual {format_number(1000 * evidence.residual_m)} mm",
@@ -183,4 +183,4 @@ def _rotation(R: np.ndarray) -> str:
 
 
 def _vector(values: np.ndarray, decimals: int) -> str:
-    return f"[{' '.join(f'{x:.{decimals}f}' for x in values)}]"
+    return f"[{' '.join(f'{x:z.{decimals}f}' for x in values)}]"

@@ -22,7 +22,7 @@ EXIT_CODES = {"converged": 0, "dry_run": 0, "interrupted": 130}  # of the other 
 
 @dataclass(frozen=True)
 class StrategyChoice:
-    """The strategy."""
+    """Choice of the strategy."""
 
     strategy: str = "auto"
     """One of fusing, algorithm1, direct and auto, which is fusing for a calibrated estimator and else algorithm1."""
@@ -51,12 +51,12 @@ class StrategyChoice:
 
 @dataclass(frozen=True)
 class LimitChoice:
-    """The limits."""
+    """Limits of the moves."""
 
     max_step_deg: float = 180.0
     """Largest angle of one move, above which it is made in parts."""
     max_rotation_deg: float | None = None
-    """Sum of the angles of all moves at which the loop ends, by default none."""
+    """Largest sum of the angles of all moves, by default unlimited."""
     dry_run: bool = False
     """Capture, estimate and print the first move, but move nothing."""
     confirm_first_move: bool = False
@@ -90,8 +90,8 @@ class Orient:
     """Depth image of the object as it should be, as written by ``reorient capture``."""
     frames: Frames = field(default_factory=Frames)
     choice: StationChoice = field(default_factory=StationChoice)
-    estimator: str = "default"
-    """Name of the estimator, an .onnx file, or a class of your own as module:Class."""
+    estimator: str = "rotation-search"
+    """One of rotation-search, fast, thorough, gicp, icp, swift and paper, an .onnx file, or your own module:Class."""
     strategy_choice: StrategyChoice = field(default_factory=StrategyChoice)
     limit_choice: LimitChoice = field(default_factory=LimitChoice)
     record: Path | None = None
@@ -159,14 +159,17 @@ class Replay:
 
 
 def print_outcome(result: "OrientResult") -> int:
-    """Print status, reason and confidence of a loop; the exit code."""
+    """Print how a loop ended; the exit code."""
     code = EXIT_CODES.get(result.status, 1)
     for error in result.errors:
         print(f"error during the loop: {error}")
     moves = f"{result.moves} move" + "s" * (result.moves != 1)
-    print(f"{result.status} after {moves}: {result.reason}", file=sys.stderr if code else sys.stdout)
     if result.converged:
-        print(f"confidence {confidence_in_words(result.confidence)}")
+        print(f"converged after {moves}, confidence {confidence_in_words(result.confidence)}")
+    elif code:
+        print(f"reorient: not converged after {moves} ({result.status}): {result.reason}", file=sys.stderr)
+    else:
+        print(result.reason)
     return code
 
 
@@ -198,7 +201,7 @@ def _close_loop(
 
     result = orient(station, goal, estimator, strategy, limits=limits, subscribers=[show])
     if isinstance(station, RecordingStation):
-        station.finish(result.reason, result.converged)
+        station.finish(result)
     code = print_outcome(result)
     if out is not None and result.steps:
         for path in write_loop(out, goal, result, [], title):

@@ -15,18 +15,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class StationChoice:
-    """The station."""
+    """Choice of the station."""
 
     station: Annotated[str, Metavar("MODULE:CLASS")] = "rendered"
     """A class of your own, importable from here and made without arguments, or 'rendered' for a simulated station."""
     object_index: int = 0
     """Number of the generated object at the simulated station."""
     pose_seed: int = 0
-    """Seed of its first pose."""
+    """Seed of the first pose of the simulated object."""
     start_deg: float = 0.0
-    """Angle of its orientation from the first one, about a random axis."""
+    """Angle by which the simulated object is rotated from its first pose, about a random axis."""
     noise_mm: float = 0.0
-    """Standard deviation of its depth noise."""
+    """Standard deviation of the simulated depth noise."""
 
     def open(self) -> "Station":
         """The station, ready. Raises ReorientError where it cannot be made."""

@@ -1,9 +1,22 @@
-"""Algorithm 1 and its successor, in one loop."""
+"""The closed loop: stations, strategies, limits and the record."""
 
-from reorient.controller.algorithm1 import Proportional
-from reorient.controller.base import Decision, OrientResult, Step, Strategy
+from reorient.controller.algorithm1 import Algorithm1
+from reorient.controller.base import AnyBelief, Decision, OrientResult, Status, Step, Strategy
 from reorient.controller.fusing import Fusing
 from reorient.controller.limits import Limits
 from reorient.controller.loop import orient
+from reorient.controller.strategies import load_strategy
 
-__all__ = ["Decision", "Fusing", "Limits", "OrientResult", "Proportional", "Step", "Strategy", "orient"]
+__all__ = [
+    "Algorithm1",
+    "AnyBelief",
+    "Decision",
+    "Fusing",
+    "Limits",
+    "OrientResult",
+    "Status",
+    "Step",
+    "Strategy",
+    "load_strategy",
+    "orient",
+]

@@ -1,55 +1,69 @@
 """The paper's Algorithm 1."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Float
 
 from reorient import so3
-from reorient.controller.base import Decision, Reachable, Step, known_part, rotations_since
+from reorient.controller.base import Decision, Reachable, Step, degrees
 from reorient.errors import ReorientError
 from reorient.imaging import DepthImage
 
 
-@dataclass(frozen=True)
-class Proportional:
-    """The paper's Algorithm 1: turn the share eta of the predicted rotation until the prediction is small."""
+@dataclass(frozen=True, eq=False)
+class LatestStep:
+    """The belief of Algorithm 1, which has no memory."""
 
-    max_steps: int = 100
+    step: Step | None = None
+
+    def updated(self, step: Step) -> "LatestStep":
+        """The given step replaces the one before."""
+        return LatestStep(step)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Algorithm1:
+    """The paper's Algorithm 1: rotate by the share eta of the estimated rotation until the estimate is small.
+
+    The defaults are those of the paper's experiments in simulation ("Controller Experiments on Simulated Objects").
+    Raises ReorientError for values out of range.
+    """
+
+    max_images: int = 100
     """K, largest number of images."""
     eta: float = 0.2
-    """Share of the predicted rotation to turn at once, in (0, 1]."""
+    """Share of the estimated rotation to rotate by, in (0, 1]."""
     delta_rad: float = float(np.radians(0.5))
-    """Done when the predicted angle is at most this."""
+    """Converged once the estimated angle is at most this, radians."""
     patience: int = 0
-    """How many failures in a row it bears; the paper's none."""
-    takes_back: ClassVar[bool] = False
-    memory: bool = True
-    """Whether the estimator is given the earlier captures."""
+    """Number of consecutive errors that the loop survives; none in the paper."""
+    undoes_moves: ClassVar[bool] = False
+    history: bool = True
+    """Whether the estimator receives earlier images."""
 
     def __post_init__(self) -> None:
-        if not (self.max_steps >= 1 and 0 < self.eta <= 1 and self.delta_rad >= 0 and self.patience >= 0):
+        if not (self.max_images >= 1 and 0 < self.eta <= 1 and self.delta_rad >= 0 and self.patience >= 0):
             raise ReorientError(
-                f"K={self.max_steps}, eta={self.eta}, delta={self.delta_rad}: expected K >= 1, 0 < eta <= 1, delta >= 0"
+                f"K={self.max_images}, eta={self.eta}, delta={self.delta_rad}, patience={self.patience}: expected "
+                "K >= 1, 0 < eta <= 1, delta >= 0, patience >= 0"
             )
 
-    def recalled(self, steps: Sequence[Step]) -> list[tuple[DepthImage, Float[np.ndarray, "3 3"]]]:
-        """All captures that are turned to now by known rotations, or none."""
-        known = known_part(steps) if self.memory else []
-        return [(step.image, R) for step, R in zip(known, rotations_since(known), strict=True)]
+    def start(self, goal: DepthImage) -> LatestStep:
+        """No step yet; the estimator has the goal."""
+        return LatestStep()
 
-    def decide(self, steps: Sequence[Step], goal: DepthImage, reachable: Reachable) -> Decision:
-        """Slerp from no rotation towards the prediction.
+    def decide(self, belief: LatestStep, reachable: Reachable) -> Decision:
+        """Slerp from no rotation towards the estimate.
 
-        The prediction is in camera axes, so it multiplies on the left, by the definition R_g = R_sg R_s; the paper's
-        listing writes q(k-1) q_hat, which would be the object's own axes.
+        The estimate is in camera axes, so it multiplies on the left, by the definition R_g = R_sg R_s; the paper's
+        listing has q(k-1) q_hat, which would be the object's own axes.
         """
-        estimate = steps[-1].estimate
-        said = f"the predicted angle is {np.degrees(estimate.angle_rad):.2f} degrees"
+        assert belief.step is not None
+        estimate = belief.step.estimate
+        message = f"estimate {degrees(estimate.angle_rad, 2)}"
         if estimate.angle_rad <= self.delta_rad:
-            return Decision(said, ends=True, converged=True, confidence=estimate.confidence)
+            return Decision(f"{message}: converged", status="converged", confidence=estimate.confidence)
         identity = np.array([1.0, 0.0, 0.0, 0.0])
         R_step = so3.matrix_from_quat(so3.slerp(identity, estimate.quat_wxyz, self.eta))
-        return Decision(f"{said}: turns {self.eta:.0%} of it", R_step)
+        return Decision(f"{message}: rotating by {self.eta:.0%} of it", R_step)

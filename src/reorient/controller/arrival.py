@@ -1,15 +1,17 @@
-"""Whether what stands before the camera is the goal: does the goal look as like it as it looks like itself?
+"""The arrival test: is the object in the goal pose? Three quantities of one viewpoint, from two or more observations.
 
-Two captures of one pose differ by noise, lost pixels and the gripper's shadow alone. Where the goal image differs from
-them by more, it shows another side of the object: a false arrival, such as the back of a cupboard that looks much like
-its front. So the object is its own yardstick, whatever the camera's noise and the object's shape are.
+Two observations of one pose differ by noise, lost pixels and the gripper's shadow alone. If the goal image differs from
+them by more, it shows another side of the object: a false arrival, such as the back of a cupboard that resembles its
+front. So the object is its own reference, whatever the camera's noise and the object's shape are.
 
-``likeness`` says that of one pose, by the share that fits. Between two poses that both fit, ``misfit`` decides, which
-adds up how far each depth is off in units of the noise, and so sees differences that no single pixel shows. Of a pose
-that is right, ``looseness_rad`` says how well the shape tells small turns.
+``log_odds`` compares inlier ratios, and tests one pose on its own. ``depth_nll`` adds up depth differences in units of
+the noise; it detects differences that no single pixel shows, and so compares two poses that both pass.
+``weak_axis_error_rad`` is the standard error about the axis that the visible shape constrains worst.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise, permutations
 
 import numpy as np
@@ -17,211 +19,219 @@ from jaxtyping import Float
 from scipy import ndimage
 
 from reorient import so3
-from reorient.estimators.base import History, RotationEstimate
+from reorient.estimators.base import RotationEstimate
 from reorient.imaging import DepthImage
-from reorient.registration import DepthView, build_problem, fit_planes, measure_evidence, refine
+from reorient.registration import DepthView, build_problem, measure_evidence, refine
 
-POINTS = 1500  # of each image
-MOST_CAPTURES = 4  # the latest
-TOLERANCE = 0.012  # depth difference that still fits, in sizes
-NEUTRAL, UNIT = (
-    -0.06,
-    0.05,
-)  # difference of fit, over misfit, that says nothing either way; that adds one to the log odds
-LEAST_MISFIT = 0.05  # even where two captures fit all over
-MOST = 6.0  # log odds that one place can add or take
-STAYING_RAD = float(np.radians(15))
-MOST_DEVIATIONS = 3.0  # that one depth counts as
-SHIFT_PX = 0.6  # by which views may be misaligned: where depth is steep over pixels it says less
-LEAST_NOISE = 0.001  # of depth, in sizes
-MOST_TELLING = 6000  # returns that count: finer images show the same errors of alignment more often
-PER_NAT = 370.0  # summed squares that are as telling as one nat: neighbours err alike, and alignment errs, too
-ALIGNED_COS = np.cos(np.radians(20))
-SETTLING = (0.06, 0.05, 0.04, 0.03, 0.025, 0.02, 0.015, 0.012, 0.012)  # tolerances of the steps of a guess, in sizes
-SETTLING_FINE = (0.01, 0.008, 0.006)
-SETTLING_POINTS = 600
-MORE_OFF, MORE_MISSING = 0.03, 0.1  # shares by which a repeated view may differ more than two captures do
-LOOSE_RAD = float(np.radians(0.85))  # standard error: with less, next to no final error is above 1 degree
-ASIDE_RAD = float(np.radians(20))  # a turn about the loosest axis, either way, to see whether it shows
-FREE_RAD, FREE_LOSS = (
-    float(np.radians(20)),
-    0.1,
-)  # between the two, settled; agreement: unless they slide back or lose more
+POINTS = 1500
+"""Points of each image in inlier ratios and scores. Not tuned."""
+COARSE = (0.06, 0.05, 0.04, 0.03, 0.025, 0.02, 0.015, 0.012, 0.012)
+"""Tolerances of the Gauss-Newton steps that align a guess, relative to the object diameter. Not tuned."""
+FINE = (*COARSE, 0.01, 0.008, 0.006)
+"""The same for two images of nearly the same pose. Not tuned."""
+ALIGNMENT_POINTS = 600
+"""Points of each image in these steps. Not tuned."""
+
+Motion = tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]
+"""R and t in metres: p_other = R p + t, camera axes."""
 
 
-def likeness(captures: Sequence[DepthImage], goal: DepthImage, estimates: Sequence[RotationEstimate]) -> float:
-    """Log odds that a pose is the goal's, from two or more captures of it, each with its estimate of what is missing.
+@dataclass(frozen=True, eq=False)
+class PreparedImage:
+    """A depth image with what comparisons need of it, each computed at most once."""
 
-    It rests on the share of points that fit: of the goal under the estimates, and of one capture on the next under what
-    two estimates make of the motion between them, which should be none. So both bear the errors of estimates; of each
-    the best counts, as a single estimate may be off by degrees.
-    """
-    views, target = [DepthView(image) for image in captures[-MOST_CAPTURES:]], DepthView(goal)
-    tolerance_m = TOLERANCE * max(views[0].diameter_m, target.diameter_m)
-    motions = [(x.R_goal_current, x.t_goal_current_m) for x in estimates[-MOST_CAPTURES:]]
-    others = [
-        max(measure_evidence(view, target, R, t_m, tolerance_m, POINTS).inlier_ratio for R, t_m in motions)
-        for view in views
-    ]
-    between = [(Rb.T @ Ra, Rb.T @ (ta_m - tb_m)) for (Ra, ta_m), (Rb, tb_m) in permutations(motions, 2)]
-    own = [
-        max(measure_evidence(a, b, R, t_m, tolerance_m, POINTS).inlier_ratio for R, t_m in between)
-        for a, b in pairwise(views)
-    ]
-    beyond = (np.mean(others) - np.mean(own)) / (1 + LEAST_MISFIT - np.mean(own))
-    return float(np.clip((beyond - NEUTRAL) / UNIT, -MOST, MOST))
+    image: DepthImage
 
+    @cached_property
+    def points_m(self) -> Float[np.ndarray, "n 3"]:
+        """All returns, row by row, camera axes."""
+        return self.image.points()
 
-def misfit(captures: Sequence[DepthImage], goal: DepthImage, estimates: Sequence[RotationEstimate]) -> float:
-    """How far the depths of a pose's captures (two or more) and of the goal are from each other, in nats a capture.
+    @cached_property
+    def view(self) -> DepthView:
+        """The image as a target for points of other images."""
+        return DepthView(self.image)
 
-    What one pose has less than another, times the captures that each of them has, is how much likelier the goal shows
-    it: the log of their odds. In place of an estimate from which this is not the pose another one's motion is taken.
-    """
-    target = DepthView(goal)
-    views = [DepthView(image) for image in captures]
-    noise_m = max(_noise_m(captures, views), LEAST_NOISE * target.diameter_m)
-    motions = [(x.R_goal_current, x.t_goal_current_m) for x in estimates]
-    near = [motion for motion in motions if float(so3.angle(motion[0])) <= STAYING_RAD] or [_settled(captures[0], goal)]
-    motions = [motion if float(so3.angle(motion[0])) <= STAYING_RAD else near[0] for motion in motions]
-    shown = _squares(goal, views, [(R.T, -R.T @ t_m) for R, t_m in motions], noise_m)
-    seen = [_squares(image, [target], [motion], noise_m) for image, motion in zip(captures, motions, strict=True)]
-    return float(min(len(target.points_m), MOST_TELLING) * (shown + np.mean(seen)) / 2 / PER_NAT)
+    @cached_property
+    def depth_step_m(self) -> Float[np.ndarray, " n"]:
+        """Half the range of depth in the 3 x 3 pixels around each return."""
+        image = self.image
+        highest = ndimage.maximum_filter(np.where(image.valid, image.depth_m, -np.inf), 3)
+        lowest = ndimage.minimum_filter(np.where(image.valid, image.depth_m, np.inf), 3)
+        half: Float[np.ndarray, " n"] = (highest[image.valid] - lowest[image.valid]) / 2
+        return half
 
 
-def looseness_rad(captures: Sequence[DepthImage], goal: DepthImage, estimates: Sequence[RotationEstimate]) -> float:
-    """Of a pose that may be the goal's: the standard error about the axis that its shape tells worst, by the estimates'
-    own covariance. Zero if it is small, if no estimate has one, and where the goal shows the same whatever the turn
-    about that axis, as for a body of revolution."""
-    told = [np.linalg.eigh(x.covariance_rad2) for x in estimates if x.covariance_rad2 is not None]
-    if not told:
-        return 0.0
-    variances, axes = sorted(told, key=lambda x: float(x[0][-1]))[len(told) // 2]
-    error_rad = float(np.sqrt(variances[-1]))
-    return 0.0 if error_rad <= LOOSE_RAD or _turns_freely(captures[-1], goal, axes[:, -1]) else error_rad
+@dataclass(frozen=True, eq=False)
+class Observation(PreparedImage):
+    """An image from the station and its estimate."""
+
+    estimate: RotationEstimate
+
+    @property
+    def motion(self) -> Motion:
+        """The estimated motion to the goal."""
+        return self.estimate.R_goal_current, self.estimate.t_goal_current_m
 
 
-def _turns_freely(capture: DepthImage, goal: DepthImage, axis: Float[np.ndarray, "3"]) -> bool:
-    """Whether a capture of the goal's pose, turned about an axis either way, stays turned and matches as well."""
-    problem = build_problem(capture, goal, None)
-    R = so3.exp(np.array([[0.0], [ASIDE_RAD], [-ASIDE_RAD]]) * axis)
-    settled = refine(problem, problem.start(R), SETTLING, SETTLING_POINTS)
-    agreement, turned = problem.image_score(settled, TOLERANCE, POINTS), so3.log(settled.R) @ axis
-    return bool(turned[1] - turned[2] >= FREE_RAD and agreement[0] - agreement[1:].min() <= FREE_LOSS)
-
-
-def _settled(image: DepthImage, other: DepthImage) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
-    """The small motion that takes one image to another of nearly the same pose."""
+def aligned(image: DepthImage, other: DepthImage) -> Motion:
+    """The motion between two images of nearly the same pose, by registration from no motion."""
     problem = build_problem(image, other, None)
-    stay = np.eye(3)[None]
-    settled = refine(problem, problem.start(stay), (*SETTLING, *SETTLING_FINE), SETTLING_POINTS)
-    return settled.R[0], settled.t_m[0]
+    result = refine(problem, problem.start(np.eye(3)[None]), FINE, ALIGNMENT_POINTS)
+    return result.R[0], result.t_m[0]
 
 
-def _noise_m(captures: Sequence[DepthImage], views: Sequence[DepthView]) -> float:
-    """Standard deviation of one capture's depths, from pairs of captures of one pose."""
+@dataclass(frozen=True)
+class Arrival:
+    """The result of an arrival test."""
+
+    log_odds: float
+    """Log-odds that this pose is the goal pose, by inlier ratios."""
+    depth_nll: float = 0.0
+    """Negative log-likelihood of the depth differences between goal and observations, nats per observation. The
+    difference between two poses, times the number of observations of each, is the log-odds between them."""
+    weak_axis_error_rad: float = 0.0
+    """Standard error of small rotations about the worst constrained axis; 0 if small, unknown or meaningless."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseSettings:
+    """When two poses are one, and how much the observations of one pose may weigh."""
+
+    near_rad: float = float(np.radians(8))
+    """Poses of the object nearer to each other than this are one. Loops of tuning objects (ed0cd77)."""
+    same_rad: float = float(np.radians(15))
+    """Estimated rotations nearer to each other than this are one. Loops of tuning objects (ed0cd77)."""
+    max_log_odds: float = 6.0
+    """Bound on the log-odds by inlier ratios, or by estimates that lead away, both ways. Not tuned."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArrivalTest(PoseSettings):
+    """The settings of the arrival test; call it with the observations of one pose (two or more) and the goal."""
+
+    window: int = 4
+    """Inlier ratios are of the latest so many observations. Not tuned."""
+    tolerance: float = 0.012
+    """Largest depth difference of an inlier, relative to the object diameter. Loops of tuning objects (ed0cd77)."""
+    neutral: float = -0.06
+    """Difference of inlier ratios (goal less observations, relative to the observations' outliers) at log-odds 0. Loops
+    of tuning objects (ed0cd77)."""
+    unit: float = 0.05
+    """The same difference for one more unit of log-odds. Loops of tuning objects (ed0cd77)."""
+    least_outliers: float = 0.05
+    """Outlier ratio of two observations of one pose, at least, in this relation. Loops of tuning objects (03a703d)."""
+    max_deviations: float = 3.0
+    """Bound on one depth difference, in standard deviations. 2 to 20 on 203 look-alikes (benchmarks/lookalikes.py)."""
+    misalignment_px: float = 0.6
+    """Assumed misalignment of two images, pixels: depth differences at steep depth count less. Same look-alikes."""
+    least_noise: float = 0.001
+    """Least standard deviation of depth, relative to the object diameter. Not tuned."""
+    max_returns: int = 6000
+    """Returns that count at most: finer images repeat the same alignment errors. Not tuned."""
+    squares_per_nat: float = 370.0
+    """Summed squared deviations per nat: neighbouring pixels err alike. Same look-alikes: differences of three nats
+    decided 127 of them, none wrongly."""
+    weak_axis_rad: float = float(np.radians(0.85))
+    """Smaller standard errors are 0. 200 loops of tuning objects: of 9 that ended 1 to 6 degrees off 7 have more, of
+    188 right ones 5 (3e00043)."""
+    free_rad: float = float(np.radians(20))
+    """Rotation about the weak axis, both ways, that shows whether the object is a body of revolution: it is if the
+    two remain this far apart in registration. Bottles, glasses and thin rods (3e00043)."""
+    free_loss: float = 0.1
+    """Score that these rotations lose at most in that case. Same objects."""
+
+    def __call__(self, observations: Sequence[Observation], goal: PreparedImage) -> Arrival:
+        """The arrival test of a pose that may be the goal pose."""
+        return Arrival(
+            self.log_odds(observations, goal),
+            self.depth_nll(observations, goal),
+            self.weak_axis_error_rad(observations, goal),
+        )
+
+    def log_odds(self, observations: Sequence[Observation], goal: PreparedImage) -> float:
+        """Log-odds that the pose is the goal pose, by inlier ratios.
+
+        Inlier ratios between goal and observations, under the estimates, are compared with those between successive
+        observations, under the motion between them by two estimates, which should be none. So both contain the errors
+        of estimates. The best motion counts, as a single estimate may be wrong by degrees.
+        """
+        latest = observations[-self.window :]
+        views, motions = [x.view for x in latest], [x.motion for x in latest]
+        tolerance_m = self.tolerance * max(views[0].diameter_m, goal.view.diameter_m)
+        to_goal = [_inlier_ratio(view, goal.view, motions, tolerance_m) for view in views]
+        between = [(Rb.T @ Ra, Rb.T @ (ta_m - tb_m)) for (Ra, ta_m), (Rb, tb_m) in permutations(motions, 2)]
+        own = [_inlier_ratio(a, b, between, tolerance_m) for a, b in pairwise(views)]
+        excess = (np.mean(to_goal) - np.mean(own)) / (1 + self.least_outliers - np.mean(own))
+        return float(np.clip((excess - self.neutral) / self.unit, -self.max_log_odds, self.max_log_odds))
+
+    def depth_nll(self, observations: Sequence[Observation], goal: PreparedImage) -> float:
+        """Negative log-likelihood of the depth differences between goal and observations, nats per observation."""
+        noise_m = max(_noise_m(observations), self.least_noise * goal.view.diameter_m)
+        motions = [x.motion for x in observations]
+        stay = [R_t for R_t in motions if self._stays(R_t)] or [aligned(observations[0].image, goal.image)]
+        motions = [R_t if self._stays(R_t) else stay[0] for R_t in motions]
+        inverse = [(R.T, -R.T @ t_m) for R, t_m in motions]
+        of_goal = self._mean_square(goal, [x.view for x in observations], inverse, noise_m)
+        of_observations = [
+            self._mean_square(x, [goal.view], [R_t], noise_m) for x, R_t in zip(observations, motions, strict=True)
+        ]
+        returns = min(len(goal.view.points_m), self.max_returns)
+        return float(returns * (of_goal + np.mean(of_observations)) / 2 / self.squares_per_nat)
+
+    def _stays(self, motion: Motion) -> bool:
+        return float(so3.angle(motion[0])) <= self.same_rad
+
+    def _mean_square(
+        self, image: PreparedImage, views: Sequence[DepthView], motions: Sequence[Motion], noise_m: float
+    ) -> float:
+        """Mean over an image's returns of the squared depth difference to views, in variances; the largest value for
+        returns that no view shows."""
+        deviation_m = np.hypot(np.sqrt(2) * noise_m, self.misalignment_px * image.depth_step_m)
+        total, count = np.zeros(len(image.points_m)), np.zeros(len(image.points_m))
+        for view, (R, t_m) in zip(views, motions, strict=True):
+            warped = view.warp((image.points_m @ R.T + t_m).T)
+            on = ~warped.silhouette_violation()
+            total[on] += np.minimum((warped.difference_m[on] / deviation_m[on]) ** 2, self.max_deviations**2)
+            count += on
+        return float(np.mean(np.where(count > 0, total / np.maximum(count, 1), self.max_deviations**2)))
+
+    def weak_axis_error_rad(self, observations: Sequence[Observation], goal: PreparedImage) -> float:
+        """Standard error about the axis that the visible shape constrains worst, by the estimates' covariance.
+
+        0 if it is small, if no estimate has a covariance, and for a body of revolution about that axis.
+        """
+        covariances = [x.estimate.covariance_rad2 for x in observations]
+        spectra = [np.linalg.eigh(covariance) for covariance in covariances if covariance is not None]
+        if not spectra:
+            return 0.0
+        variances, axes = sorted(spectra, key=lambda x: float(x[0][-1]))[len(spectra) // 2]
+        error_rad = float(np.sqrt(variances[-1]))
+        if error_rad <= self.weak_axis_rad or self._rotates_freely(observations[-1], goal, axes[:, -1]):
+            return 0.0
+        return error_rad
+
+    def _rotates_freely(self, image: PreparedImage, goal: PreparedImage, axis: Float[np.ndarray, "3"]) -> bool:
+        """Whether the object, rotated about an axis either way, stays rotated in registration and scores as well."""
+        problem = build_problem(image.image, goal.image, None)
+        R = so3.exp(np.array([[0.0], [self.free_rad], [-self.free_rad]]) * axis)
+        result = refine(problem, problem.start(R), COARSE, ALIGNMENT_POINTS)
+        score, rotation_rad = problem.image_score(result, self.tolerance, POINTS), so3.log(result.R) @ axis
+        stays = rotation_rad[1] - rotation_rad[2] >= self.free_rad
+        return bool(stays and score[0] - score[1:].min() <= self.free_loss)
+
+
+def _inlier_ratio(view: DepthView, other: DepthView, motions: Sequence[Motion], tolerance_m: float) -> float:
+    """The inlier ratio of two views under the best of some motions."""
+    return max(measure_evidence(view, other, R, t_m, tolerance_m, POINTS).inlier_ratio for R, t_m in motions)
+
+
+def _noise_m(observations: Sequence[Observation]) -> float:
+    """Standard deviation of the depth of one image, from successive observations of one pose; 0 where none overlap."""
     deviations = []
-    for image, view in zip(captures, views[1:], strict=False):
-        warped = view.warp(image.points().T)
+    for one, other in pairwise(observations):
+        warped = other.view.warp(one.points_m.T)
         on = ~warped.silhouette_violation()
         if on.any():
             deviations.append(np.median(np.abs(warped.difference_m[on])) / 0.6745 / np.sqrt(2))
     return float(np.mean(deviations)) if deviations else 0.0
-
-
-def _squares(
-    image: DepthImage, views: Sequence[DepthView], motions: Sequence[tuple[np.ndarray, np.ndarray]], noise_m: float
-) -> float:
-    """Mean over an image's returns of their squared depth differences to views, in variances; for what no view shows,
-    the most."""
-    points_m = image.points()
-    deviation_m = np.hypot(np.sqrt(2) * noise_m, SHIFT_PX * _steep_m(image))
-    total, count = np.zeros(len(points_m)), np.zeros(len(points_m))
-    for view, (R, t_m) in zip(views, motions, strict=True):
-        warped = view.warp((points_m @ R.T + t_m).T)
-        on, dz_m = ~warped.silhouette_violation(), warped.difference_m
-        total[on] += np.minimum((dz_m[on] / deviation_m[on]) ** 2, MOST_DEVIATIONS**2)
-        count += on
-    return float(np.mean(np.where(count > 0, total / np.maximum(count, 1), MOST_DEVIATIONS**2)))
-
-
-def repeats(image: DepthImage, other: DepthImage, captures: Sequence[DepthImage]) -> bool:
-    """Whether two images show the same view of an object, nearly as well as two captures of one pose do."""
-    R, t_m = _settled(image, other)
-    if float(so3.angle(R)) > STAYING_RAD:
-        return False
-    tolerance_m = TOLERANCE * DepthView(captures[0]).diameter_m
-    off, missing = np.subtract(
-        _differing(image, other, R, t_m, tolerance_m),
-        _differing(captures[0], captures[1], np.eye(3), np.zeros(3), tolerance_m),
-    )
-    return bool(off < MORE_OFF and missing < MORE_MISSING)
-
-
-def _differing(
-    image: DepthImage,
-    other: DepthImage,
-    R: Float[np.ndarray, "3 3"],
-    t_m: Float[np.ndarray, "3"],
-    tolerance_m: float,
-) -> Float[np.ndarray, "2"]:
-    """Of both images the share of returns that are off by more than a tolerance (which grows where depth is steep),
-    and of those that the other does not show."""
-    shares = []
-    for one, view, turn, shift_m in ((image, DepthView(other), R, t_m), (other, DepthView(image), R.T, -R.T @ t_m)):
-        warped = view.warp((one.points() @ turn.T + shift_m).T)
-        missed = warped.silhouette_violation()
-        off = ~missed & (np.abs(warped.difference_m) > np.hypot(tolerance_m, _steep_m(one)))
-        shares.append((off.mean(), missed.mean()))
-    return np.mean(shares, axis=0)
-
-
-def _steep_m(image: DepthImage) -> Float[np.ndarray, " n"]:
-    """By how much depth changes over a pixel at each return, row by row."""
-    highest = ndimage.maximum_filter(np.where(image.valid, image.depth_m, -np.inf), 3)
-    lowest = ndimage.minimum_filter(np.where(image.valid, image.depth_m, np.inf), 3)
-    return (highest[image.valid] - lowest[image.valid]) / 2
-
-
-def half_turns(
-    capture: DepthImage, goal: DepthImage, history: History = ()
-) -> list[tuple[Float[np.ndarray, "3 3"], float]]:
-    """Of a pose that may be the goal's: half turns about the axes of what is seen, each settled into place, with the
-    agreement with the goal that is lost where it, and not staying, leads there.
-
-    ``history``: earlier captures, each with R_now_then. What no capture shows, no guess can be blamed for: a small loss
-    means that the turned object may look like the goal, too, not that it does.
-    """
-    problem = build_problem(capture, goal, None, history)
-    R = np.concatenate([np.eye(3)[None], so3.exp(np.pi * upright_axes(capture))])
-    settled = refine(problem, problem.start(R), SETTLING, SETTLING_POINTS)
-    agreement = problem.image_score(settled, TOLERANCE, POINTS)
-    return list(zip(settled.R[1:], (agreement[0] - agreement[1:]).tolist(), strict=True))
-
-
-def upright_axes(image: DepthImage) -> Float[np.ndarray, "3 3"]:
-    """Three perpendicular axes (rows, camera axes) along which the visible surface faces most: of things that people
-    make, often the axes of their near symmetries."""
-    normals = fit_planes(image).normals.astype(float)
-    facing = (np.abs(normals @ normals[:: max(1, len(normals) // 200)].T) > ALIGNED_COS).sum(axis=0)
-    axes = [_mean_axis(normals, normals[:: max(1, len(normals) // 200)][np.argmax(facing)])]
-    across = normals - (normals @ axes[0])[:, None] * axes[0]
-    length = np.linalg.norm(across, axis=1)
-    across = across[length > np.sin(np.radians(45))]
-    if len(across) < 20:  # one plane is all that is seen: its longest extent
-        points = image.points() - image.points().mean(axis=0)
-        across = np.linalg.svd(points - (points @ axes[0])[:, None] * axes[0], full_matrices=False)[2][:1]
-    across = across / np.linalg.norm(across, axis=1, keepdims=True)
-    some = across[:: max(1, len(across) // 200)]
-    axes.append(_mean_axis(across, some[np.argmax((np.abs(across @ some.T) > ALIGNED_COS).sum(axis=0))]))
-    axes[1] = axes[1] - (axes[1] @ axes[0]) * axes[0]
-    axes[1] /= np.linalg.norm(axes[1])
-    return np.stack([*axes, np.cross(axes[0], axes[1])])
-
-
-def _mean_axis(directions: Float[np.ndarray, "n 3"], axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-    """Of the directions that are nearly along an axis, either way, the mean."""
-    along = directions @ axis
-    near = np.abs(along) > ALIGNED_COS
-    mean = (directions[near] * np.sign(along[near])[:, None]).mean(axis=0)
-    return mean / np.linalg.norm(mean)

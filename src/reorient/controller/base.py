@@ -1,60 +1,84 @@
-"""What the loop records, and what a strategy is."""
+"""The record of a loop, and the protocol of a strategy."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
-from reorient.estimators.base import RotationEstimate
+from reorient.estimators.base import History, RotationEstimate
+from reorient.formatting import format_number
 from reorient.imaging import DepthImage
 
 Reachable = Callable[[Float[np.ndarray, "3 3"]], bool]
-"""Whether the station can make a rotation (camera axes, left) from where it is."""
+"""Whether the station can make a rotation (camera axes, left) from its present pose."""
+
+Status = Literal[
+    "converged",  # the goal is reached within the strategy's tolerance
+    "unsure",  # the strategy ended at its best hypothesis, or without one, and does not state that it is the goal
+    "unreachable",  # the station cannot make the next move, nor one that comes near it
+    "max_moves",  # the strategy's limit of moves
+    "max_images",  # the strategy's limit of images
+    "station_failed",
+    "estimator_failed",
+    "strategy_failed",
+    "inconsistent_motion",  # images contradict the motion that the station reported
+    "max_rotation",  # the next move would exceed Limits.max_rotation_rad
+    "declined",  # the first move was not confirmed
+    "interrupted",  # by the keyboard
+    "dry_run",  # the first decision is made, nothing was moved
+]
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One round of the loop."""
+    """One round of the loop: an observation and the move after it."""
 
     index: int
     """From 0."""
     image: DepthImage
-    """What the station saw before the move."""
+    """The observation before the move."""
     estimate: RotationEstimate
-    """What is still missing, by the estimator."""
-    R_step: Float[np.ndarray, "3 3"] | None
-    """The move that was asked for; None where the loop looked again, or ended."""
-    R_executed: Float[np.ndarray, "3 3"] | None
-    """The move that was really made; None where there was none, or where nobody knows."""
-    said: str = ""
+    """The remaining rotation, by the estimator."""
+    R_step: Float[np.ndarray, "3 3"] | None = None
+    """The commanded move (camera axes, left); None where the loop re-captured, or ended."""
+    R_executed: Float[np.ndarray, "3 3"] | None = None
+    """The move as the station reported it; None where there was none, or where it is unknown."""
+    message: str = ""
     """The decision in words."""
-    fault: str = ""
-    """What went wrong in the move."""
+    error: str = ""
+    """The error of the move, in words; with it, ``R_executed`` None means an unknown motion."""
     undone: bool = False
-    """Whether the move was taken back, as nothing could be seen after it; ``R_executed`` is then of both moves."""
+    """Whether the move was undone, as no observation was possible after it; ``R_executed`` is then of both moves."""
+    phase: str = ""
+    """The strategy's phase that made the decision."""
 
     @property
     def moves(self) -> int:
-        """How often the object was turned after this image, as far as is known."""
+        """Number of known moves after this observation: 0, 1 or, where the move was undone, 2."""
         return 0 if self.R_executed is None else 1 + self.undone
+
+    @property
+    def motion_unknown(self) -> bool:
+        """Whether the object was moved by an unknown rotation after this observation."""
+        return self.R_step is not None and self.R_executed is None and bool(self.error)
 
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """What a strategy wants: a move, another look from here, or the end."""
+    """The next act of a strategy: a move, a further observation from the same pose, or the end."""
 
-    said: str
-    """Why, in words."""
+    message: str
+    """The reason, in words."""
     R_step: Float[np.ndarray, "3 3"] | None = None
     """The next rotation (camera axes, left); None: none."""
-    ends: bool = False
-    """Whether the loop ends here."""
-    converged: bool = False
-    """Whether the goal is reached, where it ends."""
+    status: Status | None = None
+    """How the loop ends; None: it goes on."""
     confidence: float | None = None
-    """How likely the goal is reached, where it ends; None where that is not known."""
+    """At the end: the probability that the goal is reached; None where unknown."""
+    phase: str = ""
+    """The phase that made the decision."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,63 +86,88 @@ class OrientResult:
     """The record of a loop."""
 
     steps: tuple[Step, ...]
-    converged: bool
-    """Whether the strategy's own tolerance was met, as far as the shape of what is seen tells."""
+    status: Status
+    """How it ended."""
     reason: str
-    """Why it ended, in words."""
+    """The same as a sentence; for people, not for programs."""
     confidence: float | None = None
-    """How likely the object is now within 5 degrees of the goal; at most one half where another orientation was seen
-    to match as well, unless the object looks symmetric; None where not known."""
-    faults: tuple[str, ...] = ()
-    """What went wrong on the way, in words."""
+    """Probability that the object is within 5 degrees of the goal; at most one half where another orientation matches
+    equally, unless the object appears symmetric; None where unknown."""
+    errors: tuple[str, ...] = ()
+    """Errors that the loop survived, and the last one, in words."""
+
+    @property
+    def converged(self) -> bool:
+        """Whether the goal is reached within the strategy's tolerance."""
+        return self.status == "converged"
 
     @property
     def moves(self) -> int:
-        """How often the object was turned."""
+        """Number of known moves."""
         return sum(step.moves for step in self.steps)
 
 
 @runtime_checkable
+class AnyBelief(Protocol):
+    """What a strategy infers from the steps; immutable."""
+
+    def updated(self, step: Step) -> "AnyBelief":
+        """The belief after one more step.
+
+        The loop adds each step as soon as it is observed, without a move, and again, with the same index, as often as
+        its move becomes known: after the move, and where that is undone. The last one counts.
+        """
+        ...
+
+
+@runtime_checkable
 class Strategy(Protocol):
-    """Decides each move from the record. It holds no state: the same record makes the same decision."""
+    """Decides on each move. All that it remembers is in the belief that the loop folds over the steps:
+    ``belief = strategy.start(goal)``, then ``belief = belief.updated(step)``."""
 
     @property
-    def max_steps(self) -> int:
+    def max_images(self) -> int:
         """Largest number of images."""
         ...
 
     @property
     def patience(self) -> int:
-        """How many failures of camera, gripper or estimator in a row it bears."""
+        """Number of consecutive errors of station or estimator that the loop survives."""
         ...
 
     @property
-    def takes_back(self) -> bool:
-        """Whether a large move after which that many are exceeded is taken back, and the loop goes on from there. The
-        strategy finds it in the record as ``undone``."""
+    def undoes_moves(self) -> bool:
+        """Whether, once ``patience`` is exceeded after a large move, that move is undone and the loop goes on. The
+        belief receives the step anew, with ``undone`` set."""
         ...
 
-    def recalled(self, steps: Sequence[Step]) -> list[tuple[DepthImage, Float[np.ndarray, "3 3"]]]:
-        """Of the captures so far, those that the estimator is given as history, each with R_now_then."""
+    @property
+    def history(self) -> bool:
+        """Whether the estimator receives earlier images."""
         ...
 
-    def decide(self, steps: Sequence[Step], goal: DepthImage, reachable: Reachable) -> Decision:
-        """What to do; the last of the steps is the present one, with neither a move nor words yet."""
+    def start(self, goal: DepthImage) -> AnyBelief:
+        """The belief before the first step."""
+        ...
+
+    def decide(self, belief: Any, reachable: Reachable) -> Decision:
+        """The next act; the latest step of the belief is the present one, still without a move."""
         ...
 
 
-def known_part(steps: Sequence[Step]) -> Sequence[Step]:
-    """The steps since the last move of which nobody knows what it did: only these are one chain of known rotations."""
-    lost = [k for k, step in enumerate(steps) if step.R_step is not None and step.R_executed is None and step.fault]
-    return steps[lost[-1] + 1 :] if lost else steps
-
-
-def rotations_since(steps: Sequence[Step]) -> list[Float[np.ndarray, "3 3"]]:
-    """R_now_then of each step: what turned the object from its image to now."""
+def history_of(steps: Sequence[Step]) -> History:
+    """All images since the last unknown motion, each with R_now_then, in order; for ``Estimator.estimate``."""
     R_now_then = np.eye(3)
     found = []
     for step in reversed(steps):
+        if step.motion_unknown:
+            break
         if step.R_executed is not None:
             R_now_then = R_now_then @ step.R_executed
-        found.append(R_now_then)
+        found.append((step.image, R_now_then))
     return found[::-1]
+
+
+def degrees(angle_rad: float, decimals: int = 0) -> str:
+    """An angle in words: 0.42 deg."""
+    return f"{format_number(float(np.degrees(angle_rad)), decimals)} deg"

@@ -1,28 +1,32 @@
-"""The closed loop: capture, estimate, decide, turn, until the object looks like the goal.
+"""The closed loop: capture, estimate, decide, rotate, until the object matches the goal.
 
-It knows only what an estimator, a station and a strategy are. Recording, drawing and printing are subscribers.
+It knows only the protocols of estimator, station and strategy. Recording, drawing and printing are subscribers.
 """
 
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from numbers import Integral
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from reorient import so3
-from reorient.controller.algorithm1 import Proportional
-from reorient.controller.base import Decision, OrientResult, Step, Strategy
+from reorient.controller.algorithm1 import Algorithm1
+from reorient.controller.base import Decision, OrientResult, Status, Step, Strategy, degrees, history_of
 from reorient.controller.fusing import Fusing
 from reorient.controller.limits import Limits, nearest_reachable
-from reorient.controller.station import Station, captured, lacking, pivot_of
+from reorient.controller.station import Station, captured, clock_of, executed, missing_members, pivot_of
 from reorient.errors import ReorientError, StationError
 from reorient.estimators.base import Estimator, RotationEstimate, as_estimate, check_pair
 from reorient.imaging import DepthImage
 
-LEAST_GAIN_RAD = float(np.radians(0.5))  # a way round an unreachable move is taken if it comes nearer by this
-LEAST_HIDING_RAD = float(np.radians(5))  # smaller moves do not hide an object that was seen before
+MIN_GAIN_RAD = float(np.radians(0.5))
+"""An alternative to an unreachable move is made if it comes nearer by this. Not tuned."""
+MIN_UNDONE_RAD = float(np.radians(5))
+"""Smaller moves do not hide an object that was visible before. Not tuned."""
+INTERRUPTED = "interrupted by the keyboard"
+_STRATEGY = ("max_images", "patience", "undoes_moves", "history", "start", "decide")
 
 
 def orient(
@@ -31,38 +35,40 @@ def orient(
     estimator: Estimator,
     strategy: Strategy | None = None,
     pivot_m: Float[np.ndarray, "3"] | None = None,
-    subscribers: Sequence[Callable[[Step], None]] = (),
     limits: Limits | None = None,
-    max_steps: int | None = None,
+    subscribers: Sequence[Callable[[Step], None]] = (),
 ) -> OrientResult:
-    """Turn the object at the station until it looks like the goal.
+    """Rotate the object at the station until it matches the goal.
 
-    ``strategy`` None: ``Fusing`` for an estimator with a calibrated confidence, Algorithm 1 for any other; with at most
-    ``max_steps`` images, or as many as suits each. ``pivot_m``: rotation centre, camera axes; None: the station's own.
-    Subscribers are called with each step, after its move. A failing station or estimator is asked again as often as the
-    strategy bears; then a large last move is taken back, if the strategy wants that, or else the loop ends with the
-    record kept and the reason said. Bad arguments raise ReorientError before anything moves.
+    ``strategy`` None: ``Fusing`` for an estimator with a calibrated confidence, Algorithm 1 for any other. ``pivot_m``:
+    rotation centre, camera axes; None: the station's own. Subscribers are called with each step, after its move.
+
+    An error of station or estimator is retried as often as the strategy's patience allows. After that a large last move
+    is undone, if the strategy wants that, or else the loop ends with the record kept. It also ends with the record kept
+    at a KeyboardInterrupt. Raises ReorientError for bad arguments, before anything moves.
     """
     if not isinstance(goal, DepthImage):
         raise ReorientError(f"goal is a {type(goal).__name__}: expected DepthImage(depth_m, camera)")
     for thing, members in (
         (station, ("capture", "rotate", "pivot_m")),
         (estimator, ("estimate",)),
-        (strategy, () if strategy is None else ("max_steps", "patience", "takes_back", "recalled", "decide")),
+        (strategy, () if strategy is None else _STRATEGY),
     ):
-        if isinstance(thing, type) or lacking(thing, members):
+        if isinstance(thing, type) or missing_members(thing, members):
             raise ReorientError(f"{thing!r} given: expected an object with {', '.join(members)}")
     if not isinstance(limits, Limits | None):
         raise ReorientError(f"limits {limits!r}: expected reorient.Limits, or None")
-    if max_steps is not None and (strategy is not None or not isinstance(max_steps, Integral) or max_steps < 2):
-        raise ReorientError(f"max_steps {max_steps}: expected at least 2, and no strategy, which has its own")
     pivot_m = pivot_of(station) if pivot_m is None else pivot_m
     check_pair(goal, goal, pivot_m)
-    return _Loop(station, goal, estimator, strategy, pivot_m, subscribers, limits or Limits(), max_steps).run()
+    return _Loop(station, goal, estimator, strategy, pivot_m, limits or Limits(), subscribers).run()
 
 
 class _Ended(Exception):
-    """The loop is over; why."""
+    """The loop is over."""
+
+    def __init__(self, status: Status, reason: str, confidence: float | None = None) -> None:
+        super().__init__(reason)
+        self.status, self.reason, self.confidence = status, reason, confidence
 
 
 class _Loop:
@@ -75,205 +81,211 @@ class _Loop:
         estimator: Estimator,
         strategy: Strategy | None,
         pivot_m: Float[np.ndarray, "3"] | None,
-        subscribers: Sequence[Callable[[Step], None]],
         limits: Limits,
-        max_steps: int | None,
+        subscribers: Sequence[Callable[[Step], None]],
     ) -> None:
         self.station, self.goal, self.estimator, self.strategy = station, goal, estimator, strategy
-        self.pivot_m, self.subscribers, self.limits = pivot_m, subscribers, limits
-        self.max_steps = max_steps
+        self.pivot_m, self.limits, self.subscribers = pivot_m, limits, subscribers
         self.steps: list[Step] = []
-        self.faults: list[str] = []
-        self.failures = 0
-        """In a row."""
-        self.turned_rad = 0.0
-        self.last_s = -np.inf
-        """Stamp of the last frame that was taken."""
-        self.oldest_s = -np.inf
-        """What is stamped with less shows the object before its last move."""
-        self.asked = False
+        self.belief: Any = None
+        """The strategy's; None before the first step."""
+        self.errors: list[str] = []
+        self.consecutive_errors = 0
+        self.rotated_rad = 0.0
+        """Sum of the angles of all moves."""
+        self.last_stamp_s = -np.inf
+        """Stamp of the last accepted frame."""
+        self.stale_before_s = -np.inf
+        """A frame with an earlier stamp shows the object before its last move."""
+        self.confirmed = False
         """Whether the first move has been confirmed."""
 
     def run(self) -> OrientResult:
         try:
             while True:
-                if self.strategy is not None and len(self.steps) >= self.strategy.max_steps:
-                    raise _Ended(f"limit of {self.strategy.max_steps} images")
-                seen = self.look()
-                if seen is None:
-                    continue
-                decision = self.decide(*seen)
-                self.act(decision)
-                if decision.ends:
-                    return self.result(decision.said, decision.converged, decision.confidence)
-        except _Ended as ended:
-            return self.result(str(ended), False, None)
+                observation = self.observe()
+                if observation is not None:
+                    self.act(self.decide(*observation))
+        except _Ended as end:
+            return OrientResult(tuple(self.steps), end.status, end.reason, end.confidence, tuple(self.errors))
+        except KeyboardInterrupt:
+            return OrientResult(tuple(self.steps), "interrupted", INTERRUPTED, None, tuple(self.errors))
 
-    def look(self) -> tuple[DepthImage, RotationEstimate] | None:
-        """Capture and estimate; None where that failed and is to be tried again."""
+    def observe(self) -> tuple[DepthImage, RotationEstimate] | None:
+        """Capture and estimate; None where one failed and is to be retried."""
+        if self.strategy is not None and len(self.steps) >= self.strategy.max_images:
+            raise _Ended("max_images", f"limit of {self.strategy.max_images} images")
         try:
             image = captured(self.station.capture())
             self.refuse_stale(image)
         except Exception as error:  # a driver may raise anything; the record must survive it
-            self.failed(f"the station failed to capture: {_said(error)}")
+            self.failed("station_failed", f"the station failed to capture: {_in_words(error)}")
             return None
         try:
-            history = self.strategy.recalled(self.steps) if self.strategy else []
+            history = history_of(self.steps) if self.strategy is not None and self.strategy.history else ()
             answer = self.estimator.estimate(image, self.goal, self.pivot_m, history)
-            estimate = as_estimate(answer, image, self.goal)
+            return image, as_estimate(answer, image, self.goal)
         except Exception as error:
-            self.failed(f"the estimator failed: {_said(error)}")
+            self.failed("estimator_failed", f"the estimator failed: {_in_words(error)}")
             return None
-        if self.strategy is None:
-            suited = Proportional if estimate.confidence is None else Fusing
-            self.strategy = suited() if self.max_steps is None else suited(max_steps=self.max_steps)
-        return image, estimate
 
     def refuse_stale(self, image: DepthImage) -> None:
         """Raise StationError for a frame that shows the object before its last move."""
         if image.stamp_s is None:
             return
-        if image.stamp_s < self.oldest_s:
+        if image.stamp_s < self.stale_before_s:
             raise StationError(
-                f"stale frame: captured at {image.stamp_s:.3f} s, before the last move ended ({self.oldest_s:.3f} s)"
+                f"stale frame: captured at {image.stamp_s:.3f} s, before the last move ended "
+                f"({self.stale_before_s:.3f} s)"
             )
-        self.last_s = image.stamp_s
-
-    def moved(self) -> None:
-        """Whatever was captured up to now is out of date: by the station's clock, or, where it shows none, as old as
-        the last frame."""
-        clock_s = _clock_s(self.station)
-        self.oldest_s = float(np.nextafter(self.last_s, np.inf)) if clock_s is None else clock_s
+        self.last_stamp_s = image.stamp_s
 
     def decide(self, image: DepthImage, estimate: RotationEstimate) -> Decision:
-        """Add the step to the record, as yet without a move, and ask the strategy."""
-        assert self.strategy is not None
-        self.steps.append(Step(len(self.steps), image, estimate, None, None))
+        """Add the step to the record, still without a move, and ask the strategy."""
+        if self.strategy is None:
+            self.strategy = Algorithm1() if estimate.confidence is None else Fusing()
+        self.steps.append(Step(len(self.steps), image, estimate))
         try:
-            decision = self.strategy.decide(self.steps, self.goal, self.reachable)
+            if self.belief is None:
+                self.belief = self.strategy.start(self.goal)
+            self.belief = self.belief.updated(self.steps[-1])
+            decision = self.strategy.decide(self.belief, self.reachable)
         except Exception as error:  # it may be the user's own; the record must survive it
-            raise _Ended(f"the strategy failed: {_said(error)}") from error
-        self.steps[-1] = replace(self.steps[-1], said=decision.said)
+            raise _Ended("strategy_failed", f"the strategy failed: {_in_words(error)}") from error
+        self.steps[-1] = replace(self.steps[-1], message=decision.message, phase=decision.phase)
         return decision
 
     def act(self, decision: Decision) -> None:
-        """Make the move, if there is one, and tell the subscribers."""
-        R_step, R_executed, ending, fault = decision.R_step, None, "", ""
-        if R_step is not None and not self.reachable(R_step):
-            ending, R_step = self.way_round(R_step)
-        if R_step is not None and not ending:
-            ending = self.forbidden(R_step)
-        if self.limits.dry_run and not decision.ends:
-            ending = f"dry run: {ending or decision.said}; nothing moved"
-        if ending:
-            R_step = None
+        """Make the move, if there is one, and call the subscribers; raise _Ended where the loop ends."""
+        R_step, end = self.planned(decision)
         if R_step is not None:
-            R_executed, fault = self.turn(R_step)
-        self.steps[-1] = replace(self.steps[-1], R_step=R_step, R_executed=R_executed, fault=fault)
+            self.move(R_step)
+        step = self.steps[-1]
         for subscriber in self.subscribers:
-            subscriber(self.steps[-1])
-        if ending:
-            raise _Ended(ending)
-        if fault:
-            self.failed(fault)
+            subscriber(step)
+        if end is not None:
+            raise end
+        if step.error:
+            self.failed("station_failed", step.error)
         else:
-            self.failures = 0
+            self.consecutive_errors = 0
 
-    def forbidden(self, R_step: Float[np.ndarray, "3 3"]) -> str:
-        """Why the limits forbid a move, the one that would really be made; nothing where they do not."""
-        degrees = f"{np.degrees(so3.angle(R_step)):.1f} degrees"
+    def planned(self, decision: Decision) -> tuple[Float[np.ndarray, "3 3"] | None, _Ended | None]:
+        """The move that will be made, and how the loop ends, if it does."""
+        if decision.status is not None:
+            return None, _Ended(decision.status, decision.message, decision.confidence)
+        R_step, end = (None, None) if decision.R_step is None else self.nearest_move(decision.R_step)
         if self.limits.dry_run:
-            rotvec = " ".join(f"{x:.4f}" for x in so3.log(R_step))
-            return f"would turn by {degrees} (rotation vector [{rotvec}], camera axes)"
-        if self.turned_rad + float(so3.angle(R_step)) > self.limits.largest_total_rad:
-            return f"the next move of {degrees} would exceed the largest total rotation"
-        if not self.asked and self.limits.confirm is not None and not self.limits.confirm(R_step):
-            return f"the first move of {degrees} was not confirmed"
-        self.asked = True
-        return ""
+            return None, _Ended("dry_run", f"dry run: {_plan(R_step, end) or decision.message}; nothing moved")
+        if R_step is not None:
+            end = self.refusal(R_step)
+        return (R_step if end is None else None), end
 
-    def way_round(self, R_step: Float[np.ndarray, "3 3"]) -> tuple[str, Float[np.ndarray, "3 3"]]:
-        """For a move that the station cannot make the nearest that it can, or why the loop ends."""
+    def nearest_move(self, R_step: Float[np.ndarray, "3 3"]) -> tuple[Float[np.ndarray, "3 3"] | None, _Ended | None]:
+        """A move, or the nearest one that the station can make instead, or how the loop ends."""
+        if self.reachable(R_step):
+            return R_step, None
         nearest = nearest_reachable(R_step, self.reachable)
         wanted_rad = float(so3.angle(R_step))
         left_rad = wanted_rad if nearest is None else float(so3.angle_difference(nearest, R_step))
-        said = (
-            f"the station cannot turn by {np.degrees(wanted_rad):.1f} degrees as wanted; the nearest reachable "
-            f"orientation leaves {np.degrees(left_rad):.1f}"
+        message = (
+            f"the station cannot rotate by {degrees(wanted_rad, 1)}; the nearest reachable orientation leaves "
+            f"{degrees(left_rad, 1)}"
         )
-        if nearest is None or wanted_rad - left_rad < LEAST_GAIN_RAD:
-            return said, R_step
-        self.faults.append(said)
-        return "", nearest
+        if nearest is None or wanted_rad - left_rad < MIN_GAIN_RAD:
+            return None, _Ended("unreachable", message)
+        self.errors.append(message)
+        return nearest, None
 
-    def turn(self, R_step: Float[np.ndarray, "3 3"]) -> tuple[Float[np.ndarray, "3 3"] | None, str]:
-        """Turn in parts that keep to the largest step; what was really done (None: unknown), and what went wrong."""
+    def refusal(self, R_step: Float[np.ndarray, "3 3"]) -> _Ended | None:
+        """How the loop ends if the limits forbid a move."""
+        angle = degrees(float(so3.angle(R_step)), 1)
+        if self.rotated_rad + float(so3.angle(R_step)) > self.limits.max_rotation_rad:
+            return _Ended("max_rotation", f"the next move of {angle} would exceed the largest total rotation")
+        if not self.confirmed and self.limits.confirm is not None and not self.limits.confirm(R_step):
+            return _Ended("declined", f"the first move of {angle} was not confirmed")
+        self.confirmed = True
+        return None
+
+    def move(self, R_step: Float[np.ndarray, "3 3"]) -> None:
+        """Make a move and record it."""
+        self.steps[-1] = replace(self.steps[-1], R_step=R_step)
+        R_executed, error = self.rotate(R_step)
+        self.record(replace(self.steps[-1], R_executed=R_executed, error=error))
+
+    def record(self, step: Step) -> None:
+        """Replace the latest step, whose move is known by now, in the record and in the belief."""
+        self.steps[-1] = step
+        try:
+            self.belief = self.belief.updated(step)
+        except Exception as error:
+            raise _Ended("strategy_failed", f"the strategy failed: {_in_words(error)}") from error
+
+    def rotate(self, R_step: Float[np.ndarray, "3 3"]) -> tuple[Float[np.ndarray, "3 3"] | None, str]:
+        """Rotate in parts within the largest step; returns the executed rotation (None: unknown) and the error."""
         R_done: Float[np.ndarray, "3 3"] = np.eye(3)
         for part in self.limits.parts(R_step):
             try:
-                done = _executed(self.station.rotate(part))
+                done = executed(self.station.rotate(part))
             except Exception as error:
-                self.turned_rad += float(so3.angle(part))  # it may have been made before it failed
-                return None, f"the station failed to rotate: {_said(error)}"
-            finally:
-                self.moved()
+                self.rotated_rad += float(so3.angle(part))  # it may have been made before the error
+                return None, f"the station failed to rotate: {_in_words(error)}"
+            except KeyboardInterrupt:
+                self.steps[-1] = replace(self.steps[-1], R_executed=None, error=INTERRUPTED)
+                raise
+            finally:  # frames up to now are stale: by the station's clock, or else those not newer than the last one
+                clock_s = clock_of(self.station)
+                self.stale_before_s = float(np.nextafter(self.last_stamp_s, np.inf)) if clock_s is None else clock_s
             R_done = done @ R_done
-            self.turned_rad += float(so3.angle(done))
+            self.rotated_rad += float(so3.angle(done))
         return R_done, ""
 
     def reachable(self, R_step: Float[np.ndarray, "3 3"]) -> bool:
-        """Whether the station can make a move, if it has a way to tell; asked of the whole, though the limits may have
-        it made in parts."""
+        """Whether the station can make a move, if it knows. The question is about the whole move, though the limits may
+        have it made in parts."""
         ask = getattr(self.station, "reachable", None)
         if ask is None:
             return True
         try:
             return bool(ask(R_step))
-        except Exception:  # a station that cannot tell is asked to move, and may refuse then
+        except Exception:  # such a station gets the move, and may refuse it
             return True
 
-    def failed(self, said: str) -> None:
-        """Note a failure; where the strategy has no more patience take the last move back, or raise _Ended."""
-        self.faults.append(said)
-        self.failures += 1
-        if self.failures > (self.strategy.patience if self.strategy else Fusing().patience) and not self.take_back():
-            raise _Ended(said)
+    def failed(self, status: Status, message: str) -> None:
+        """Record an error. Beyond the strategy's patience undo the last move; raise _Ended where that is not done."""
+        self.errors.append(message)
+        self.consecutive_errors += 1
+        patience = Fusing().patience if self.strategy is None else self.strategy.patience
+        if self.consecutive_errors > patience and not self.undo():
+            raise _Ended(status, message)
         time.sleep(self.limits.wait_s)
 
-    def take_back(self) -> bool:
-        """Undo the last move, if it is a large one that may have hidden the object; whether that was done."""
+    def undo(self) -> bool:
+        """Undo the last move, if it is a large one that may have hidden the object; returns whether that was done."""
         step = self.steps[-1] if self.steps else None
-        if step is None or step.R_executed is None or step.undone or not (self.strategy and self.strategy.takes_back):
+        if step is None or step.R_executed is None or step.undone:
             return False
         R_back = step.R_executed.T
-        if float(so3.angle(R_back)) < LEAST_HIDING_RAD or self.forbidden(R_back):
+        if self.strategy is None or not self.strategy.undoes_moves or float(so3.angle(R_back)) < MIN_UNDONE_RAD:
             return False
-        R_done, fault = self.turn(R_back)
-        degrees = f"{np.degrees(so3.angle(R_back)):.0f} degrees"
-        self.faults.append(fault or f"nothing could be seen after the move of {degrees}: it was taken back")
+        if self.refusal(R_back) is not None:
+            return False
+        R_done, error = self.rotate(R_back)
+        angle = degrees(float(so3.angle(R_back)))
+        self.errors.append(error or f"no observation was possible after the move of {angle}: it was undone")
         R_both = None if R_done is None else R_done @ step.R_executed
-        self.steps[-1] = replace(step, R_executed=R_both, fault=fault, undone=True)
-        self.failures = 0
-        return not fault
-
-    def result(self, reason: str, converged: bool, confidence: float | None) -> OrientResult:
-        return OrientResult(tuple(self.steps), converged, reason, confidence, tuple(self.faults))
+        self.record(replace(step, R_executed=R_both, error=error, undone=True))
+        self.consecutive_errors = 0
+        return not error
 
 
-def _clock_s(station: Station) -> float | None:
-    """The station's clock now, on which frames are stamped; None where it has none to show."""
-    try:
-        clock_s = float(station.clock_s())  # type: ignore[attr-defined]
-    except Exception:  # without one, or with one that fails
-        return None
-    return clock_s if np.isfinite(clock_s) else None
+def _plan(R_step: Float[np.ndarray, "3 3"] | None, end: _Ended | None) -> str:
+    """What a dry run would do; empty where it would not move."""
+    if end is not None or R_step is None:
+        return end.reason if end is not None else ""
+    rotvec = " ".join(f"{x:.4f}" for x in so3.log(R_step))
+    return f"would rotate by {degrees(float(so3.angle(R_step)), 1)} (rotation vector [{rotvec}], camera axes)"
 
 
-def _executed(R: object) -> Float[np.ndarray, "3 3"]:
-    if not so3.is_rotation(np.asarray(R, float) if R is not None else np.empty(0)):
-        raise StationError("rotate() returned no rotation: expected the (3, 3) matrix of what was really done")
-    return np.asarray(R, float)
-
-
-def _said(error: Exception) -> str:
+def _in_words(error: Exception) -> str:
     return str(error) if isinstance(error, ReorientError) else f"{type(error).__name__}: {error}"

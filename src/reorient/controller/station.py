@@ -1,4 +1,4 @@
-"""What a station is: a camera that sees the object and a gripper that turns it."""
+"""The station protocol: a camera that captures the object and a gripper that rotates it."""
 
 from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
@@ -6,57 +6,74 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
+from reorient import so3
 from reorient.errors import ReorientError, StationError
 from reorient.imaging import DepthImage
 
 
 @runtime_checkable
 class Station(Protocol):
-    """A robot cell, real or simulated. Failures are raised, as StationError or whatever the driver raises.
+    """A robot cell, real or simulated. Its methods raise StationError, or the driver's own exceptions.
 
-    Two methods more are used where a station has them: ``reachable(R_step) -> bool``, whether ``rotate`` would do it;
-    and ``clock_s() -> float``, the clock that frames are stamped with, which shows up a frame that was captured before
-    the last move ended. Without it only a frame that is not newer than the last one before the move is refused.
+    Two further methods are optional: ``reachable(R_step) -> bool``, whether ``rotate`` could execute it; and
+    ``clock_s() -> float``, the clock of the frames' stamps, by which a frame from before the end of the last move is
+    refused. Without it only frames that are not newer than the last one before the move are refused.
     """
 
     @property
     def pivot_m(self) -> Float[np.ndarray, "3"] | None:
-        """The centre that the gripper turns the object about, in camera axes, good to about 1 cm; None if unknown."""
+        """The rotation centre of the gripper, camera axes, good to about 1 cm; None if unknown."""
         ...
 
     def capture(self) -> DepthImage:
-        """The isolated object as the camera sees it now."""
+        """The present depth image of the isolated object."""
         ...
 
     def rotate(self, R_step: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-        """Turn the object by R_step (camera axes, left: R_after = R_step @ R_before) and return what was done."""
+        """Rotate the object: R_after = R_step @ R_before, camera axes. Returns the executed rotation."""
         ...
 
 
-def lacking(thing: object, members: Sequence[str]) -> list[str]:
-    """Which of the members a thing does not have; one that fails when it is read is there."""
+def missing_members(thing: object, members: Sequence[str]) -> list[str]:
+    """The members that an object does not have; one that raises when it is read counts as present."""
 
-    def there(member: str) -> bool:
+    def present(member: str) -> bool:
         try:
             return hasattr(thing, member)
         except Exception:
             return True
 
-    return [member for member in members if not there(member)]
+    return [member for member in members if not present(member)]
 
 
 def pivot_of(station: Station) -> Float[np.ndarray, "3"] | None:
-    """The station's pivot. Raises StationError where the station fails to tell it."""
+    """The station's pivot. Raises StationError where reading it fails."""
     try:
         return station.pivot_m
     except ReorientError:
         raise
     except Exception as error:
-        raise StationError(f"the station failed to tell its pivot_m: {type(error).__name__}: {error}") from error
+        raise StationError(f"cannot read the station's pivot_m: {type(error).__name__}: {error}") from error
+
+
+def clock_of(station: Station) -> float | None:
+    """The station's clock now, in seconds; None where it has none, or one that fails."""
+    try:
+        clock_s = float(station.clock_s())  # type: ignore[attr-defined]
+    except Exception:
+        return None
+    return clock_s if np.isfinite(clock_s) else None
 
 
 def captured(image: object) -> DepthImage:
-    """What ``capture`` returned. Raises StationError where that is no image."""
+    """The result of ``capture``. Raises StationError where it is no image."""
     if not isinstance(image, DepthImage):
         raise StationError(f"capture() returned a {type(image).__name__}: expected DepthImage(depth_m, camera)")
     return image
+
+
+def executed(R: object) -> Float[np.ndarray, "3 3"]:
+    """The result of ``rotate``. Raises StationError where it is no rotation."""
+    if not so3.is_rotation(np.asarray(R, float) if R is not None else np.empty(0)):
+        raise StationError("rotate() returned no rotation: expected the (3, 3) matrix of the executed motion")
+    return np.asarray(R, float)

@@ -12,7 +12,7 @@ from reorient.errors import ReorientError
 from reorient.imaging import DepthImage
 from reorient.imaging.depth_image import MILLIMETRES_ABOVE
 from reorient.imaging.isolation import require_isolated
-from reorient.registration import INLIER_TOLERANCE, DepthView, Evidence, measure_evidence
+from reorient.registration import DepthView, Evidence, compact, inlier_tolerance_m, measure_evidence
 
 History = Sequence[tuple[DepthImage, Float[np.ndarray, "3 3"]]]
 """Earlier captures of the same held object, each with R_now_then."""
@@ -116,7 +116,7 @@ def with_evidence(
     **more: Any,
 ) -> RotationEstimate:
     """An estimate with its evidence, at the tolerance that all estimators share; ``more``: its other fields."""
-    tolerance_m = INLIER_TOLERANCE * max(current.diameter_m, goal.diameter_m)
+    tolerance_m = inlier_tolerance_m(current, goal)
     evidence = measure_evidence(current, goal, R_goal_current, t_goal_current_m, tolerance_m)
     evidence = replace(evidence, converged=converged, iterations=iterations)
     return RotationEstimate(R_goal_current, t_goal_current_m, evidence, **more)
@@ -140,4 +140,6 @@ def as_estimate(answer: Any, current: DepthImage, goal: DepthImage) -> RotationE
         return answer
     more = {name: getattr(answer, name, None) for name in ("confidence", "covariance_rad2")}
     alternatives = tuple(getattr(answer, "alternatives", None) or ())
-    return with_evidence(DepthView(current), DepthView(goal), R, t_m, alternatives=alternatives, **more)
+    return with_evidence(
+        DepthView(compact(current)), DepthView(compact(goal)), R, t_m, alternatives=alternatives, **more
+    )

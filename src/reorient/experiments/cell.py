@@ -80,7 +80,7 @@ def _loop_rows(result: OrientResult, errors_deg: list[float]) -> Iterator[dict[s
         "image": END,
         "error_deg": f"{errors_deg[-1]:.4f}",
         "moves": result.moves,
-        "status": "converged" if result.converged else "unsure",
+        "status": result.status,
         "converged": int(result.converged),
         "reason": result.reason,
     }

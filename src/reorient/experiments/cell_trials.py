@@ -27,7 +27,7 @@ from reorient.perception.segmentation import object_mask
 from reorient.world.objects import ObjectSource
 from reorient.world.statistics import is_distinctive
 
-MAX_STEPS = 50  # K of the paper's physical experiment
+MAX_IMAGES = 50  # K of the paper's physical experiment
 LEAST_VISIBLE = 0.7  # of the object's silhouette, in goal and start (paper: "not significantly occluded")
 _ROTATIONS = 200  # drawn for a start before another goal is tried
 _PLACES = 5  # goals tried
@@ -44,7 +44,7 @@ class Experiment:
     trials: int = 10
     """Goals and starts of each object."""
     systems: tuple[str, ...] = ("default/fusing", "gicp/direct")
-    """Each an estimator and a strategy: fusing, algorithm1 (eta 0.2, delta 0.5 deg), direct (eta 1). Up to 50 images."""
+    """Estimator and strategy: fusing, algorithm1 (eta 0.2, delta 0.5 deg), direct (eta 1). At most 50 images."""
     ranges_deg: tuple[tuple[float, float], ...] = ((30, 30),)
     """Ranges of the angle between start and goal."""
     noise_mm: float = 0.5
@@ -152,7 +152,7 @@ def close_loop(
     config: Experiment, staged: Stage, system: str, subscribers: Sequence[Callable[[Step], None]] = ()
 ) -> tuple[OrientResult, list[float]]:
     """One loop from a stage, and the true angle left at each image and, last, at the end; degrees."""
-    estimator, strategy = load_system(system, max_steps=MAX_STEPS)
+    estimator, strategy = load_system(system, max_images=MAX_IMAGES)
     witness = Witness(staged.cell, staged.R_goal)
     result = orient(witness, staged.goal, estimator, strategy, subscribers=subscribers)
     return result, [*witness.errors_deg[: len(result.steps)], witness.error_deg()]

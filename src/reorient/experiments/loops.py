@@ -148,7 +148,7 @@ def _loop(trial: Trial, system: str) -> Row:
         "angle_deg": f"{angle_deg:.4f}",
         "moves": result.moves,
         "images": len(result.steps),
-        "status": "converged" if result.converged else "unsure",
+        "status": result.status,
         "converged": int(result.converged),
         "confidence": "" if result.confidence is None else f"{result.confidence:.4f}",
         "error_deg": f"{_error_deg(station, R_goal):.4f}",

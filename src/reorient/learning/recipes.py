@@ -12,39 +12,42 @@ LossName = Literal["mean", "shapematch", "hybrid", "chord"]
 
 @dataclass(frozen=True)
 class Training:
-    """How to train; the defaults are the paper's but for the learning rate."""
+    """Settings of the training.
+
+    The defaults are the paper's, except the learning rate.
+    """
 
     network: NetworkName = "paper"
-    """The paper's siamese ResNet-9, or swift: both images at once."""
+    """Network: the paper's siamese ResNet-9, or swift, which takes both images at once."""
     loss: LossName = "hybrid"
-    """hybrid: mean in the first epoch, then ShapeMatch; mean; shapematch; chord: mean first, then |q - q_hat|. A warm
-    start does without the first."""
+    """Loss: mean, shapematch, hybrid (mean in the first epoch, then shapematch) or chord (mean in the first epoch, then
+    the quaternion distance). A warm start omits that epoch."""
     epochs: int = 100
-    """The most; ``patience`` may end it before."""
+    """Largest number of epochs, which the patience may shorten."""
     batch: int = 64
-    """Pairs a step, of one process."""
+    """Number of pairs in a step of one process."""
     lr: float = 0.0003
-    """The paper's 0.002 did not leave "no rotation" in 250,000 pairs of our reading; this soon did."""
+    """Learning rate. With the paper's 0.002 the network still predicted no rotation after 250,000 pairs."""
     schedule: Literal["steps", "cosine"] = "steps"
-    """steps: times 0.9 every 5 epochs; cosine: down to nothing at the last epoch, after a short warm-up."""
+    """Learning rate over time: steps multiplies it by 0.9 every 5 epochs, cosine lowers it to 0 after a warm-up."""
     weight_decay: float = 1e-9
-    """The paper's l2 penalty."""
+    """Weight of the l2 penalty."""
     dropout: float = 0.4
-    """Share of the head's units left out in a step; the paper's 0.4 costs much (RESULTS.md)."""
+    """Share of the head's units left out in a step. The paper's 0.4 increases the error (RESULTS.md)."""
     patience: int = 10
-    """Stop after so many epochs without a better validation error."""
+    """Number of epochs without a better validation error after which the training stops."""
     test_objects: int | None = None
-    """Objects kept for testing, by a hash of the name; default: a fifth."""
+    """Number of objects kept for testing, chosen by a hash of the name, by default a fifth."""
     validation_pairs: int = 4096
-    """Pairs of other objects that are measured after each epoch."""
+    """Number of pairs of other objects that are measured after each epoch."""
     precision: Literal["bf16-mixed", "32-true"] = "bf16-mixed"
-    """bf16-mixed: products in bfloat16, faster where the processor has it; 32-true: all in float32."""
+    """Precision: bf16-mixed computes products in bfloat16, 32-true everything in float32."""
     turned: float = 0.0
-    """Share of pairs whose start is shown turned by an answer that is nearly right, as in a further round."""
+    """Share of pairs whose current image is rotated by a nearly correct estimate first, as in an iterated estimate."""
     noise: float = 0.0
-    """Largest standard deviation of depth noise added in training, of the width of the view."""
+    """Largest standard deviation of the depth noise added in training, relative to the width of the view."""
     seed: int = 0
-    """Of the first weights, the order of the pairs and what is drawn in training."""
+    """Seed of the first weights, the order of the pairs and the augmentation."""
 
     def __post_init__(self) -> None:
         """Raises ReorientError for what cannot be trained."""

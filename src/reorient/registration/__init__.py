@@ -5,8 +5,15 @@ hypotheses of rotations, ``refine`` improves them, ``Problem.score`` and ``measu
 """
 
 from reorient.registration.build import build_problem
-from reorient.registration.depth_view import DepthView, evenly_spaced
-from reorient.registration.evidence import INLIER_TOLERANCE, Evidence, measure_evidence
+from reorient.registration.depth_view import DepthView, Warped, compact, evenly_spaced
+from reorient.registration.evidence import (
+    EVIDENCE_POINTS,
+    INLIER_TOLERANCE,
+    Evidence,
+    inlier_tolerance_m,
+    measure_evidence,
+    warp_both,
+)
 from reorient.registration.gauss_newton import normal_equations, refine
 from reorient.registration.hypotheses import Hypotheses, non_maximum_suppression
 from reorient.registration.normals import fit_planes
@@ -14,6 +21,7 @@ from reorient.registration.pivot import PivotPrior, pivot_prior
 from reorient.registration.problem import Observation, Problem
 
 __all__ = [
+    "EVIDENCE_POINTS",
     "INLIER_TOLERANCE",
     "DepthView",
     "Evidence",
@@ -21,12 +29,16 @@ __all__ = [
     "Observation",
     "PivotPrior",
     "Problem",
+    "Warped",
     "build_problem",
+    "compact",
     "evenly_spaced",
     "fit_planes",
+    "inlier_tolerance_m",
     "measure_evidence",
     "non_maximum_suppression",
     "normal_equations",
     "pivot_prior",
     "refine",
+    "warp_both",
 ]

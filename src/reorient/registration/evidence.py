@@ -49,6 +49,11 @@ class Evidence:
         return self.inlier_ratio - self.free_space_violation - self.silhouette_violation
 
 
+def inlier_tolerance_m(current: DepthView, goal: DepthView) -> float:
+    """The depth difference of an inlier, metres, for the evidence of a pair."""
+    return INLIER_TOLERANCE * max(current.diameter_m, goal.diameter_m)
+
+
 def measure_evidence(
     current: DepthView,
     goal: DepthView,

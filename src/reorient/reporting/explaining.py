@@ -1,62 +1,101 @@
-"""An estimate in words and as a picture: how sure it is, what else it could be, where it fails."""
+"""An estimate as a picture: both images, the motion between them, and every point that the evidence counts."""
+
+from dataclasses import dataclass
 
 import numpy as np
-from PIL import Image
+from jaxtyping import Float, Int
+from PIL import Image, ImageDraw, ImageFont
 
-from reorient import so3
 from reorient.estimators.base import RotationEstimate
-from reorient.imaging import DepthImage
-from reorient.reporting.pictures import BACKGROUND, depth_range, framed, montage, shade
+from reorient.formatting import format_share
+from reorient.imaging import Camera, DepthImage
+from reorient.registration import (
+    EVIDENCE_POINTS,
+    DepthView,
+    Evidence,
+    Warped,
+    compact,
+    inlier_tolerance_m,
+    warp_both,
+)
+from reorient.reporting.pictures import BACKGROUND, INK, depth_range, framed, montage, shade, text_mask
 
-FITS, IN_FRONT, OUTSIDE, BEHIND = (96, 178, 112), (226, 84, 70), (236, 160, 60), (92, 110, 150)
-TOLERANCE = 0.02  # of the object's depth range and width, what still counts as the same surface
-REVOLUTION_DEG = 20.0  # axes of alternatives that lie this near are one axis
+POINT = 1 / 50  # width of a point, of a panel
+DIMMED = 0.45  # brightness of the surface behind the points
+MARGIN = 0.12  # around the object, of its width, so that points beside it show
 
 
-def in_words(estimate: RotationEstimate) -> str:
-    """How sure the estimate is, and what else may be meant, in one or two sentences."""
-    if estimate.confidence is None:
-        return "confidence is not calibrated for this estimator"
-    said = f"{estimate.confidence:.0%} sure to be within 5 degrees of the goal, or of an orientation that looks like it"
-    if not estimate.alternatives:
-        return said
-    turns = [so3.log(R @ estimate.R_goal_current.T) for R, _ in estimate.alternatives]
-    degrees = [float(np.degrees(np.linalg.norm(turn))) for turn in turns]
-    axes = np.stack([turn / max(float(np.linalg.norm(turn)), 1e-9) for turn in turns])
-    axis = axes[0] if axes[0] @ axes.sum(axis=0) >= 0 else -axes[0]
-    count = len(turns) + 1
-    named = " ".join(f"{x:.2f}" for x in axis)
-    alike = bool(np.all(np.abs(axes @ axes[0]) > np.cos(np.radians(REVOLUTION_DEG))))
-    about = f" about [{named}] (camera axes, at the goal)" if alike else ""
-    away = ", ".join(f"{x:.0f}" for x in sorted(degrees))
-    first = float(np.clip(1 - sum(probability for _, probability in estimate.alternatives), 0, 1))
-    chances = ", ".join(f"{p:.0%}" for p in [first, *(p for _, p in estimate.alternatives)])
+@dataclass(frozen=True)
+class PointClass:
+    """One of the four things that a warped point is."""
+
+    label: str
+    share: str
+    """Field of ``Evidence`` that counts it."""
+    colour: tuple[int, int, int]
+    """From the palette of Okabe and Ito, which colour-blind people can tell apart."""
+
+
+CLASSES = (
+    PointClass("inlier", "inlier_ratio", (0, 158, 115)),
+    PointClass("free-space violation", "free_space_violation", (213, 94, 0)),
+    PointClass("silhouette violation", "silhouette_violation", (240, 228, 66)),
+    PointClass("occluded", "occluded", (0, 114, 178)),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """The points of one image, warped into the view of the other."""
+
+    image: DepthImage
+    """The image of the view."""
+    points_m: Float[np.ndarray, "n 3"]
+    """The points, camera axes of the view."""
+    classes: Int[np.ndarray, " n"]
+    """Index of each point's class in ``CLASSES``."""
+
+
+def classify(current: DepthImage, goal: DepthImage, estimate: RotationEstimate) -> tuple[Panel, Panel]:
+    """The points of current in the goal's view, and those of goal in current's, as ``Evidence`` counts them."""
+    views = DepthView(compact(current)), DepthView(compact(goal))
+    R, t_m = estimate.R_goal_current, estimate.t_goal_current_m
+    tolerance_m = inlier_tolerance_m(*views)
+    in_goal, in_current = warp_both(*views, R, t_m, EVIDENCE_POINTS)
     return (
-        f"{said}; {count} orientations fit about equally well ({chances}): the object looks symmetric{about}, or the "
-        f"views leave it open; the others are {away} degrees from the answer"
+        Panel(views[1].image, views[0].sample(EVIDENCE_POINTS).T @ R.T + t_m, _classes(in_goal, tolerance_m)),
+        Panel(views[0].image, (views[1].sample(EVIDENCE_POINTS).T - t_m) @ R, _classes(in_current, tolerance_m)),
     )
 
 
 def picture(current: DepthImage, goal: DepthImage, estimate: RotationEstimate, size_px: int = 256) -> Image.Image:
-    """Current, goal, current turned by the answer, and where that disagrees with the goal, side by side.
+    """Current, goal, current moved by the estimate, and the points of each image in the other one's view.
 
-    Green fits; red stands before the goal's surface, which the camera saw; orange falls outside the goal's outline;
-    blue lies behind the surface, where it may be hidden.
+    The points have the colours of their classes; the legend has the shares of the estimate's evidence.
     """
-    points_m = current.points() @ estimate.R_goal_current.T + estimate.t_goal_current_m
-    turned = _seen_by(goal, points_m)
-    windows = framed([current, goal, turned])
-    near_far = depth_range(windows)
-    pictures = [shade(image, size_px, near_far) for image in windows]
-    colours = _disagreement(windows[1], windows[2])
-    verdict = Image.fromarray(colours).resize((size_px, size_px), Image.Resampling.NEAREST)
-    return montage([*pictures, verdict], 4, ["current", "goal", "current, turned", "fits / before / outside / hidden"])
+    moved = _splat(current.points() @ estimate.R_goal_current.T + estimate.t_goal_current_m, goal)
+    windows = framed([current, goal, moved])
+    range_m = depth_range(windows)
+    panels = [shade(image, size_px, range_m) for image in windows]
+    panels += [_draw(panel, size_px) for panel in classify(current, goal, estimate)]
+    labels = ["current", "goal", "current, rotated", "current's points in goal", "goal's points in current"]
+    sheet = montage(panels, len(panels), labels)
+    return _with_legend(sheet, estimate.evidence, size_px)
 
 
-def _seen_by(goal: DepthImage, points_m: np.ndarray) -> DepthImage:
+def _classes(warped: Warped, tolerance_m: float) -> Int[np.ndarray, " n"]:
+    """The index of each point's class in ``CLASSES``."""
+    return np.select(
+        [warped.inlier(tolerance_m), warped.free_space_violation(tolerance_m), warped.silhouette_violation()],
+        [0, 1, 2],
+        3,
+    )
+
+
+def _splat(points_m: Float[np.ndarray, "n 3"], goal: DepthImage) -> DepthImage:
     """Points as the goal's camera sees them, the nearest of each pixel; small holes between them are closed."""
     depth_m: np.ndarray = np.full(goal.depth_m.shape, np.inf)
-    pixel = np.nan_to_num(np.floor(goal.camera.project(points_m)), nan=-1.0).astype(int)
+    pixel = _pixels(goal.camera, points_m).astype(int)
     for row, column in ((0, 0), (0, 1), (1, 0), (1, 1)):  # a point covers its pixel and the next
         u, v = pixel[:, 0] + column, pixel[:, 1] + row
         inside = (u >= 0) & (u < depth_m.shape[1]) & (v >= 0) & (v < depth_m.shape[0])
@@ -65,16 +104,35 @@ def _seen_by(goal: DepthImage, points_m: np.ndarray) -> DepthImage:
     return DepthImage(depth_m if depth_m.any() else goal.depth_m, goal.camera)
 
 
-def _disagreement(goal: DepthImage, turned: DepthImage) -> np.ndarray:
-    """(h, w, 3) colours of the turned image's returns by what the goal says about them."""
-    colours = np.full((*goal.depth_m.shape, 3), BACKGROUND, np.uint8)
-    colours[goal.valid] = np.array(BACKGROUND) + 24  # the goal's outline, faintly
-    seen = turned.valid
-    depths = goal.depth_m[goal.valid]
-    tolerance_m = TOLERANCE * max(float(np.ptp(np.percentile(depths, [1, 99]))), 0.1 * float(np.median(depths)))
-    beyond = turned.depth_m - goal.depth_m
-    colours[seen & ~goal.valid] = OUTSIDE
-    colours[seen & goal.valid & (beyond < -tolerance_m)] = IN_FRONT
-    colours[seen & goal.valid & (beyond > tolerance_m)] = BEHIND
-    colours[seen & goal.valid & (np.abs(beyond) <= tolerance_m)] = FITS
-    return colours
+def _pixels(camera: Camera, points_m: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
+    """Whole pixels that points fall on; -1 for a point that projects nowhere."""
+    pixel: np.ndarray = np.nan_to_num(np.floor(camera.project(points_m)), nan=-1.0, posinf=-1.0, neginf=-1.0)
+    return pixel
+
+
+def _draw(panel: Panel, size_px: int) -> Image.Image:
+    """The dimmed surface of a view with the points on it."""
+    height, width = panel.image.depth_m.shape
+    side = round(max(height, width) * (1 + 2 * MARGIN))
+    window = panel.image.cropped((width - side) // 2, (height - side) // 2, side, side)
+    drawn = Image.blend(Image.new("RGB", (size_px, size_px), BACKGROUND), shade(window, size_px), DIMMED)
+    pen, half = ImageDraw.Draw(drawn), max(size_px * POINT / 2, 1)
+    for (u, v), index in zip(_pixels(window.camera, panel.points_m), panel.classes, strict=True):
+        x, y = ((each + 0.5) * size_px / side for each in (u, v))
+        pen.rectangle((x - half, y - half, x + half, y + half), CLASSES[index].colour)
+    return drawn
+
+
+def _with_legend(sheet: Image.Image, evidence: Evidence, size_px: int) -> Image.Image:
+    """The sheet with a strip below it: the colour, the name and the share of each class."""
+    height, text_px = size_px // 7, max(11, size_px // 17)
+    extended = Image.new("RGB", (sheet.width, sheet.height + height), BACKGROUND)
+    extended.paste(sheet)
+    pen, width = ImageDraw.Draw(extended), sheet.width // len(CLASSES)
+    for number, each in enumerate(CLASSES):
+        left, top = number * width, sheet.height + (height - text_px) // 2
+        pen.rectangle((left + text_px, top, left + 2 * text_px, top + text_px), each.colour)
+        text = f"{each.label} {format_share(getattr(evidence, each.share))}"
+        text_width = round(ImageFont.load_default(text_px).getlength(text)) + text_px
+        extended.paste(INK, (left + 2 * text_px, sheet.height), text_mask(text, (text_width, height), text_px))
+    return extended

@@ -9,6 +9,7 @@ import numpy as np
 from reorient import so3
 from reorient.controller import OrientResult, Step
 from reorient.errors import ReorientError
+from reorient.formatting import format_number, format_share
 from reorient.imaging import DepthImage
 from reorient.registration.evidence import Evidence
 from reorient.reporting.figures import growing_curve, loop_curve
@@ -27,18 +28,18 @@ def write_loop(
     """Write ``loop.gif`` (goal, current image, remaining angle) and ``loop.html`` into a folder; returns both paths.
 
     ``errors_deg``: the true remaining angle at each step's image, then, if there was a last move, after it; empty where
-    the truth is unknown. Raises ReorientError for a loop without a step and for another number of errors.
+    the true orientation is unknown. Raises ReorientError for a loop without a step and for another number of errors.
     """
     steps = result.steps
     if not steps:
         raise ReorientError(f"a loop without a step ({result.reason}): expected at least one image to show")
     if len(errors_deg) not in (0, len(steps), len(steps) + 1):
         raise ReorientError(f"{len(errors_deg)} errors for {len(steps)} steps: expected one for each image, or none")
-    predicted_deg = [float(np.degrees(step.estimate.angle_rad)) for step in steps]
+    estimated_deg = [float(np.degrees(step.estimate.angle_rad)) for step in steps]
     images = framed([goal, *(step.image for step in steps)])
     range_m = depth_range(images)
     goal_picture, *pictures = (shade(image, _PANEL_PX, range_m) for image in images)
-    curves = growing_curve(predicted_deg, errors_deg, _PANEL_PX)
+    curves = growing_curve(estimated_deg, errors_deg, _PANEL_PX)
     gif = Path(folder) / "loop.gif"
     frames = [
         montage([goal_picture, picture, curve], 3, ["goal", "current", f"after {moves} moves" if moves else "start"])
@@ -50,7 +51,7 @@ def write_loop(
     triptych = montage(stills, 3, ["start", "goal", "last image"])
     sections = {
         "Start, goal, last image": inline_image(png_data_uri(triptych), "start, goal and last image", dark=True),
-        "Remaining angle": inline_image(loop_curve(predicted_deg, errors_deg), "remaining angle at each image"),
+        "Remaining angle": inline_image(loop_curve(estimated_deg, errors_deg), "remaining angle at each image"),
         "Decisions": _decisions(result),
         "Steps": _table(steps, errors_deg),
     }
@@ -63,37 +64,38 @@ def write_loop(
 def outcome(result: OrientResult, errors_deg: Sequence[float]) -> str:
     """How the loop ended, in a sentence or two."""
     moves = f"{result.moves} move" + "s" * (result.moves != 1)
-    said = f"{'Converged' if result.converged else 'Ended without converging'} after {moves}: {result.reason}."
+    sentence = f"{result.status.replace('_', ' ').capitalize()} after {moves}: {result.reason}."
     if errors_deg:
-        said += f" The true remaining angle went from {errors_deg[0]:.2f} to {errors_deg[-1]:.2f} degrees."
-    return said
+        sentence += f" The true remaining angle went from {errors_deg[0]:.2f} to {errors_deg[-1]:.2f} deg."
+    return sentence
 
 
 def evidence_in_words(evidence: Evidence) -> str:
-    """What the two images say about an estimate."""
-    against = evidence.free_space_violation + evidence.silhouette_violation
-    said = f"{evidence.inlier_ratio:.0%} inliers"
-    if np.isfinite(evidence.residual_m):
-        said += f" (rms {1000 * evidence.residual_m:.1f} mm)"
-    said += f", {against:.0%} violations, {evidence.occluded:.0%} occluded"
-    return said if evidence.converged is not False else said + "; registration not converged"
+    """The evidence of an estimate, in one line."""
+    violations = format_share(evidence.free_space_violation + evidence.silhouette_violation)
+    line = (
+        f"inliers {format_share(evidence.inlier_ratio)} ({format_share(evidence.covisible_inlier_ratio)} of co-visible "
+        f"points), violations {violations}, occluded {format_share(evidence.occluded)}, residual "
+        f"{format_number(1000 * evidence.residual_m, 1)} mm"
+    )
+    return line if evidence.converged is not False else line + "; registration not converged"
 
 
 def _moves_before(steps: Sequence[Step]) -> list[int]:
-    """How often the object had been turned at each image."""
+    """Number of moves before each image."""
     return [sum(step.moves for step in steps[:k]) for k in range(len(steps))]
 
 
 def _decisions(result: OrientResult) -> str:
-    """What was decided at each image, and what went wrong, in words."""
-    lines = "".join(f"<li>{escape(step.said)}.</li>" for step in result.steps)
-    faults = "".join(f"<li>{escape(fault)}.</li>" for fault in result.faults)
-    went_wrong = f'<p class="note">On the way:</p><ul class="note">{faults}</ul>' if faults else ""
-    return f'<ol start="0">{lines}</ol>{went_wrong}'
+    """The decision at each image, and the errors of the loop."""
+    lines = "".join(f"<li>{escape(step.message)}</li>" for step in result.steps)
+    errors = "".join(f"<li>{escape(error)}</li>" for error in result.errors)
+    below = f'<p class="note">Errors during the loop:</p><ul class="note">{errors}</ul>' if errors else ""
+    return f'<ol start="0">{lines}</ol>{below}'
 
 
 def _table(steps: Sequence[Step], errors_deg: Sequence[float]) -> str:
-    heads = ["image", "predicted", *(["true"] if errors_deg else []), "asked to turn", "turned"]
+    heads = ["image", "estimated", *(["true"] if errors_deg else []), "commanded", "executed"]
     lines = []
     for step in steps:
         angles_deg = [float(np.degrees(step.estimate.angle_rad))]
@@ -102,8 +104,8 @@ def _table(steps: Sequence[Step], errors_deg: Sequence[float]) -> str:
         cells = [
             str(step.index),
             *(f"{angle:.2f}°" for angle in angles_deg),
-            _turn(step.R_step),
-            _turn(step.R_executed),
+            _angle(step.R_step),
+            _angle(step.R_executed),
         ]
         numbers = "".join(f"<td>{cell}</td>" for cell in cells)
         lines.append(f'<tr>{numbers}<td class="word">{escape(evidence_in_words(step.estimate.evidence))}</td></tr>')
@@ -111,5 +113,5 @@ def _table(steps: Sequence[Step], errors_deg: Sequence[float]) -> str:
     return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{"".join(lines)}</tbody></table></div>'
 
 
-def _turn(R: np.ndarray | None) -> str:
+def _angle(R: np.ndarray | None) -> str:
     return "–" if R is None else f"{np.degrees(so3.angle(R)):.2f}°"

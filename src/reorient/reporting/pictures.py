@@ -131,7 +131,7 @@ def montage(pictures: Sequence[Image.Image], columns: int, labels: Sequence[str]
         left, top = index % columns * (width + gap), index // columns * (height + head + gap)
         sheet.paste(picture, (left, top + head))
         if labels is not None:
-            sheet.paste(INK, (left, top), _text(labels[index], (width, head), text_px))
+            sheet.paste(INK, (left, top), text_mask(labels[index], (width, head), text_px))
     return sheet
 
 
@@ -161,7 +161,7 @@ def png_data_uri(picture: Image.Image) -> str:
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
 
 
-def _text(text: str, size: tuple[int, int], text_px: int) -> Image.Image:
+def text_mask(text: str, size: tuple[int, int], text_px: int) -> Image.Image:
     """A mask with the text in its middle, drawn large and shrunk: small type set directly has uneven gaps."""
     width, height = (4 * n for n in size)
     mask = Image.new("L", (width, height))

@@ -1,4 +1,4 @@
-"""A station on which things go wrong: for tests of the loop, and for measuring what faults cost."""
+"""A station with random faults: for tests of the loop, and for measuring their effect."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,17 +15,17 @@ from reorient.imaging import DepthImage
 
 CAPTURE_FAULTS = ("stale", "empty", "gone")
 MOVE_FAULTS = ("slip", "refused", "partly")
-GONE_FOR = 2  # captures that a camera misses before it is back
+GONE_FOR = 2  # consecutive captures without a frame
 LARGEST_SLIP_RAD = float(np.radians(40))
-FULL_SLACK_RAD = float(np.radians(30))  # a turn that has all of the slack
+FULL_SLACK_RAD = float(np.radians(30))  # smallest rotation with the whole slack
 
 
 class FaultyStation:
-    """Another station, with faults drawn at random, or planned, and slack in its turns.
+    """Another station with random or planned faults, and with slack in its rotations.
 
-    ``stale``: the frame before once more; ``empty``: hardly a return; ``gone``: no frame, nor the next time. ``slip``:
-    the object turns in the gripper, unknown to the robot; ``refused``: no move; ``partly``: a part of the move, as the
-    robot reports. ``met`` names the faults that came.
+    Faults of a capture: ``stale``, the frame before once more; ``empty``, a single return; ``gone``, no frame, twice.
+    Faults of a move: ``slip``, the object rotates in the gripper, unknown to the robot; ``refused``, no motion;
+    ``partly``, a part of the motion, as the robot reports. ``met`` lists the faults that occurred.
     """
 
     def __init__(
@@ -36,9 +36,9 @@ class FaultyStation:
         slack_rad: float = 0.0,
         planned: Sequence[str] = (),
     ) -> None:
-        """``chance`` of a fault at each capture and move. ``slack_rad``: error of each turn of 30 degrees or more,
-        unknown to the robot, about a random axis; less in proportion for smaller ones. ``planned``: faults to come,
-        each at the next capture or move that it fits, the first left alone."""
+        """``chance``: probability of a fault at each capture and move. ``slack_rad``: error of each rotation of 30
+        degrees or more, unknown to the robot, about a random axis; proportionally less for smaller ones. ``planned``:
+        faults that occur in order, each at the next capture or move it fits, after the first act."""
         self._station, self._rng, self._chance, self._slack_rad = station, rng, chance, slack_rad
         self._planned = list(planned)
         self._before: DepthImage | None = None
@@ -52,7 +52,7 @@ class FaultyStation:
         return self._station.pivot_m
 
     def capture(self) -> DepthImage:
-        """What the station sees, or a fault."""
+        """The station's image, or a fault."""
         fault = "gone" if self._gone else self._fault(CAPTURE_FAULTS if self._before else CAPTURE_FAULTS[1:])
         if fault == "gone":
             self._gone = (self._gone or GONE_FOR) - 1
@@ -69,7 +69,7 @@ class FaultyStation:
         return image
 
     def rotate(self, R_step: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-        """The station's turn, or a fault; what comes back is what the robot believes."""
+        """The station's rotation, or a fault; returns the rotation that the robot reports."""
         fault = self._fault(MOVE_FAULTS)
         if fault == "refused":
             raise StationError("refused to move")
@@ -82,7 +82,7 @@ class FaultyStation:
         return R_step
 
     def __getattr__(self, name: str) -> Any:
-        """What a station may have beside: ``reachable``, ``clock_s``."""
+        """Optional members of the station: ``reachable``, ``clock_s``."""
         if name.startswith("_"):
             raise AttributeError(name)
         return getattr(self._station, name)

@@ -1,4 +1,4 @@
-"""A station without a robot: the object floats before a rendered camera and turns exactly as asked."""
+"""A station without a robot: the object floats before a rendered camera and rotates exactly as commanded."""
 
 from dataclasses import replace
 
@@ -13,14 +13,14 @@ from reorient.imaging import DepthImage
 from reorient.world.rendering import Renderer, World
 from reorient.world.sensing import Sensor, sense
 
-FRAME_S = 0.1  # simulated seconds a capture takes
+FRAME_S = 0.1  # simulated seconds of a capture or a move
 
 
 class RenderedStation:
     """The simulator of the paper's controller experiments.
 
-    Captures bear the sensor's rectangle (the gripper); the goal does not. ``R_camera_object`` is the truth, which
-    ``capture`` shows and nothing else may read but a score.
+    Captures are occluded by the sensor's rectangle (the gripper); the goal is not. ``R_camera_object`` is the true
+    orientation, which only an evaluation may read.
     """
 
     def __init__(
@@ -41,15 +41,15 @@ class RenderedStation:
         self._time_s = 0.0
 
     def capture(self) -> DepthImage:
-        """The object as it is now, behind the gripper's rectangle."""
+        """The present depth image, occluded by the gripper's rectangle."""
         return self._sense(occluded=True)
 
     def capture_goal(self) -> DepthImage:
-        """The object as it is now, unoccluded, to serve as a goal."""
+        """The present depth image without occlusion, for use as a goal."""
         return self._sense(occluded=False)
 
     def rotate(self, R_step: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-        """Turn the object, exactly. Raises StationError for what is no rotation."""
+        """Rotate the object exactly (camera axes, left). Raises StationError where R_step is no rotation."""
         if not so3.is_rotation(np.asarray(R_step)):
             raise StationError("refused to rotate: expected a (3, 3) rotation matrix")
         self.R_camera_object = R_step @ self.R_camera_object
@@ -57,7 +57,7 @@ class RenderedStation:
         return R_step
 
     def clock_s(self) -> float:
-        """Simulated seconds since the station was made; what frames are stamped with."""
+        """Simulated seconds since the station was made: the clock of the frames' stamps."""
         return self._time_s
 
     def _sense(self, occluded: bool) -> DepthImage:

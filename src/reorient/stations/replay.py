@@ -1,7 +1,7 @@
-"""What a station saw and did, kept in a folder, and the folder as a station: so that a failure becomes a test.
+"""Recording of a station in a folder, and the folder as a station, so that a failure can become a test.
 
-A record is ``record.json`` (the pivot, every capture and move in order, failures included, and what the station said
-it could reach) beside ``goal.npz`` and one ``.npz`` for each frame. It is whole after every act, whatever happens next.
+A record is ``record.json`` (the pivot, all captures and moves in order, errors included, and the answers of
+``reachable``) beside ``goal.npz`` and one ``.npz`` for each frame. It is complete after every act.
 """
 
 import json
@@ -12,20 +12,21 @@ import numpy as np
 from jaxtyping import Float
 
 from reorient import so3
-from reorient.controller.station import Station, captured, pivot_of
+from reorient.controller import OrientResult
+from reorient.controller.station import Station, captured, clock_of, pivot_of
 from reorient.errors import ReorientError, StationError
 from reorient.imaging import DepthImage
 from reorient.imaging.files import read_depth, write_depth
 from reorient.runs.files import make_folder, replacing
 
-SAME_RAD = float(np.radians(0.1))  # a move that differs by less from the recorded one is that move
+SAME_RAD = float(np.radians(0.1))  # largest difference of a move from the recorded one
 
 
 class RecordingStation:
-    """A station whose every act is noted. Raises ReorientError where the folder holds a record already."""
+    """A station whose acts are recorded. Raises ReorientError where the folder holds a record already."""
 
     def __init__(self, station: Station, folder: str | Path, goal: DepthImage, about: dict[str, Any]) -> None:
-        """``about``: what else to keep in the record, as JSON (the estimator, the strategy)."""
+        """``about``: further entries of the record, as JSON (the estimator, the strategy)."""
         self._station = station
         pivot_m = pivot_of(station)
         self._folder = make_folder(folder)
@@ -53,7 +54,7 @@ class RecordingStation:
         try:
             image = captured(self._station.capture())
             write_depth(self._folder / name, image)
-        except Exception as error:
+        except (Exception, KeyboardInterrupt) as error:
             self._note({"capture": None, "error": f"{type(error).__name__}: {error}"})
             raise
         self._note({"capture": name})
@@ -64,41 +65,34 @@ class RecordingStation:
         asked = np.asarray(R_step, float).tolist()
         try:
             done = self._station.rotate(R_step)
-        except Exception as error:
-            said = f"{type(error).__name__}: {error}"
-            self._note({"rotate": asked, "executed": None, "error": said, "clock_s": self._clock_s()})
+        except (Exception, KeyboardInterrupt) as error:
+            message = f"{type(error).__name__}: {error}"
+            self._note({"rotate": asked, "executed": None, "error": message, "clock_s": clock_of(self._station)})
             raise
-        self._note({"rotate": asked, "executed": _plain(done), "clock_s": self._clock_s()})
+        self._note({"rotate": asked, "executed": _as_list(done), "clock_s": clock_of(self._station)})
         return done
 
     def _reachable(self, R_step: Float[np.ndarray, "3 3"]) -> bool:
-        """The station's answer, kept with the number of acts before it."""
+        """The station's answer, recorded with the number of acts before it."""
         can = bool(self._station.reachable(R_step))  # type: ignore[attr-defined]
         asked = np.asarray(R_step, float).tolist()
         self._record["reachable"].append({"acts": len(self._record["acts"]), "R_step": asked, "can": can})
         self._write()
         return can
 
-    def _clock_s(self) -> float | None:
-        """The station's clock; None where it has none, or fails to tell."""
-        try:
-            return float(self._station.clock_s())  # type: ignore[attr-defined]
-        except Exception:
-            return None
-
-    def finish(self, reason: str, converged: bool) -> None:
-        """Note how the loop ended."""
-        self._record |= {"reason": reason, "converged": bool(converged)}
+    def finish(self, result: OrientResult) -> None:
+        """Record how the loop ended."""
+        self._record |= {"status": result.status, "reason": result.reason, "converged": result.converged}
         self._write()
 
     def __getattr__(self, name: str) -> Any:
-        """What a station may have beside: ``clock_s``."""
+        """Optional members of the station: ``clock_s``."""
         if name.startswith("_"):
             raise AttributeError(name)
         return getattr(self._station, name)
 
     def _note(self, act: dict[str, Any]) -> None:
-        json.dumps(act)  # what cannot be written must not be kept, or nothing could be written any more
+        json.dumps(act)  # an act that is not JSON must not be kept: the record could not be written any more
         self._record["acts"].append(act)
         self._write()
 
@@ -108,14 +102,14 @@ class RecordingStation:
 
 
 class ReplayedStation:
-    """A record as a station: the same frames, answers and failures. A loop that asks for another move than the recorded
-    one has left the record, and is told so (StationError)."""
+    """A record as a station: the same frames, answers and errors. A loop that commands another move than the recorded
+    one has left the record, and gets a StationError."""
 
     def __init__(self, folder: str | Path) -> None:
         """Raises ReorientError for a folder without a record, or a broken one."""
         self._folder = Path(folder)
         try:
-            self.record: dict[str, Any] = json.loads((self._folder / "record.json").read_text())
+            self.record = _present_form(json.loads((self._folder / "record.json").read_text()))
             self._acts = list(self.record["acts"])
             pivot = self.record["pivot_m"]
             self._pivot_m = None if pivot is None else np.array(pivot, float)
@@ -123,7 +117,7 @@ class ReplayedStation:
             self._answers = [(a["acts"], np.array(a["R_step"], float), bool(a["can"])) for a in answers or ()]
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise ReorientError(
-                f"no record in {str(folder)!r} ({error}): expected what `reorient orient --record` wrote"
+                f"no record in {str(folder)!r} ({error}): expected a folder of `reorient orient --record`"
             ) from error
         if answers is not None:
             self.reachable = self._reachable
@@ -145,11 +139,11 @@ class ReplayedStation:
         return read_depth(self._folder / act["capture"])
 
     def rotate(self, R_step: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-        """What the recorded move did, if this is the recorded move."""
+        """The recorded rotation, if this is the recorded move."""
         return np.array(self._act("rotate", R_step)["executed"], float)
 
     def _reachable(self, R_step: Float[np.ndarray, "3 3"]) -> bool:
-        """What the station said of this rotation before the next act. Raises StationError where it was not asked."""
+        """The recorded answer for this rotation before the next act. Raises StationError where there is none."""
         asked = [
             (float(so3.angle_difference(R, np.asarray(R_step, float))), can)
             for acts, R, can in self._answers
@@ -157,7 +151,7 @@ class ReplayedStation:
         ]
         away_rad, can = min(asked, default=(np.inf, False))
         if away_rad > SAME_RAD:
-            raise StationError(f"the loop leaves the record at act {self._next}: it asks for the reach of another move")
+            raise StationError(f"the loop leaves the record at act {self._next}: reachable() of another move")
         return can
 
     def clock_s(self) -> float:
@@ -167,27 +161,40 @@ class ReplayedStation:
     def _act(self, kind: str, R_step: Float[np.ndarray, "3 3"] | None = None) -> dict[str, Any]:
         if self._next >= len(self._acts):
             raise StationError("the record ends here")
-        act = self._acts[self._next]
+        act: dict[str, Any] = self._acts[self._next]
         if kind not in act:
-            raise StationError(f"the loop leaves the record at act {self._next}: it asks to {kind}")
+            raise StationError(f"the loop leaves the record at act {self._next}: {kind} requested")
         if R_step is not None:
             away_rad = float(so3.angle_difference(np.array(act["rotate"], float), np.asarray(R_step, float)))
             if away_rad > SAME_RAD:
                 raise StationError(
-                    f"the loop leaves the record at act {self._next}: it asks for a move {np.degrees(away_rad):.1f} "
-                    "degrees off the recorded one"
+                    f"the loop leaves the record at act {self._next}: a move {np.degrees(away_rad):.1f} deg off the "
+                    "recorded one"
                 )
         self._next += 1
         if kind == "rotate":
             self._clock_s = -np.inf if act.get("clock_s") is None else float(act["clock_s"])
         if act.get("error"):
-            raise StationError(f"recorded failure: {act['error']}")
+            raise StationError(f"recorded error: {act['error']}")
         return act
 
 
-def _plain(R: Any) -> Any:
-    """What a station said it did, as JSON; None for what is no array of numbers."""
+def _as_list(R: Any) -> Any:
+    """The result of ``rotate`` as JSON; None where it is no array of numbers."""
     try:
         return np.asarray(R, float).tolist()
     except (TypeError, ValueError):
         return None
+
+
+def _present_form(record: Any) -> dict[str, Any]:
+    """A record with the settings of its loop in their present form, where it has them in an earlier one."""
+    if isinstance(record.get("strategy"), list):
+        record["strategy"] = dict(zip(("strategy", "max_images", "eta", "delta_deg"), record["strategy"], strict=True))
+    if "largest_step_deg" in record:
+        record["limits"] = {
+            "max_step_deg": record["largest_step_deg"],
+            "max_rotation_deg": record.get("largest_total_deg"),
+            "dry_run": bool(record.get("dry_run")),
+        }
+    return dict(record)

@@ -112,18 +112,21 @@ def package(name: str) -> ObjectSet:
 
 @dataclass(frozen=True)
 class ObjectSource:
-    """Where objects come from: generated unless a folder or a package is named."""
+    """Source of the objects.
+
+    They are generated unless a folder or a package is given.
+    """
 
     meshes: Path | None = None
-    """A folder of meshes (.obj, .stl, .ply, .dae, .npz with v and f, ...)."""
+    """Folder of meshes (.obj, .stl, .ply, .dae, .npz with v and f, ...)."""
     package: str | None = None
-    """An installed pip package that ships meshes: example-robot-data, rtb-data or pybullet."""
+    """Installed pip package with meshes: example-robot-data, rtb-data or pybullet."""
     only: Path | None = None
-    """A text file with the names of the objects to use, one a line."""
+    """Text file with the names of the objects to use, one a line."""
     count: int = 100
-    """How many objects to generate."""
+    """Number of objects to generate."""
     object_seed: int = 0
-    """Which sequence of the generator."""
+    """Seed of the generator of objects."""
 
     @classmethod
     def from_json(cls, described: dict[str, Any]) -> "ObjectSource":

@@ -72,22 +72,22 @@ LARGEST_CHUNK = 64  # pairs, what one read of a stored set brings
 
 @dataclass(frozen=True)
 class PairSet:
-    """What to draw."""
+    """Pairs to generate."""
 
     objects: ObjectSource = field(default_factory=ObjectSource)
     """Whose pairs are drawn."""
     pairs_per_object: int = 200
-    """Each from a start and a turn of its own."""
+    """Number of pairs of each object, each with its own start and rotation."""
     world: str = "paper"
-    """Preset of camera, size and distance: paper or benchmark."""
+    """Preset of camera, object size and distance: paper or benchmark."""
     low_deg: float = 0.0
-    """Smallest angle between start and goal."""
+    """Smallest angle between current and goal image."""
     high_deg: float = 30.0
-    """Largest angle between start and goal."""
+    """Largest angle between current and goal image."""
     noise_mm: float = 0.0
-    """Depth noise of the structured-light sensor; 0: rectangle and dropouts alone."""
+    """Standard deviation of the sensor's depth noise, besides occluded pixels and dropouts."""
     seed: int = 0
-    """Of the pairs."""
+    """Seed of the pairs."""
 
     def __post_init__(self) -> None:
         """Raises ReorientError for what cannot be drawn."""
