@@ -56,7 +56,7 @@ class Experiment:
     gripper_hue_deg: tuple[float, float] | None = None
     """Range of the gripper's hue. With one of saturation it replaces the colours learned from the empty gripper."""
     gripper_saturation: tuple[float, float] | None = None
-    """Range of the gripper's saturation, in [0, 1]."""
+    """Range of the gripper's saturation, between 0 and 1."""
     calibration: Path | None = None
     """Calibration file of the cell's cameras, by default the true one with errors of 1 mm and 0.3 degrees."""
     arm: Path | None = None
