@@ -14,9 +14,9 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 from PIL import Image
 
-from reorient.experiments.evaluation import Row
 from reorient.reporting.pictures import BACKGROUND, INK
 from reorient.reporting.rows import estimators, numbers
+from reorient.runs.run import Row
 
 _KNOWN = {"paper": "#cc5a71", "icp": "#8d99ae", "gicp": "#2f6db5", "swift": "#1d9a6c", "default": "#e08e1b"}
 _SPARE = ("#7b5ea7", "#17a2b8", "#a0522d", "#e377c2", "#6b7f1f", "#444b59")

@@ -9,7 +9,7 @@ from PIL import Image
 
 from reorient import so3
 from reorient.errors import ReorientError
-from reorient.experiments.evaluation import Evaluation, Row, read_config, regenerate
+from reorient.experiments.evaluation import Evaluation, read_config, regenerate
 from reorient.imaging import DepthImage
 from reorient.reporting import figures, trust
 from reorient.reporting.page import inline_image, page
@@ -17,6 +17,7 @@ from reorient.reporting.pictures import depth_range, framed, montage, png_data_u
 from reorient.reporting.rows import estimators, numbers, read_rows
 from reorient.reporting.tables import OVERLAP, html_table
 from reorient.runs.files import replacing
+from reorient.runs.run import Row
 
 _MAIN = 3  # estimators whose pairs are shown
 _SHOWN = 4  # pairs at each end
