@@ -76,9 +76,7 @@ class Problem:
     def score(self, hypotheses: Hypotheses, tolerance: float, points: int) -> Float[np.ndarray, " k"]:
         """``image_score`` less the cost of the prior."""
         distance2 = self.prior.mahalanobis2(hypotheses.R, hypotheses.t_m)
-        return np.asarray(
-            self.image_score(hypotheses, tolerance, points) - PRIOR_COST * distance2
-        )
+        return np.asarray(self.image_score(hypotheses, tolerance, points) - PRIOR_COST * distance2)
 
     def share(self, points: int) -> int:
         """Points of each observation, so that several take no longer than one."""
