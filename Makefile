@@ -32,20 +32,14 @@ lint: .venv/dev
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
 	touch $@
 
-.venv/dev: .venv/base
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
-	touch $@
+# The other environments add extras to the base.
+EXTRAS_dev := dev
+EXTRAS_train := dev,train,cluster
+EXTRAS_cell := dev,cell
+EXTRAS_peers := dev,peers
 
-.venv/train: .venv/dev
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[train,cluster]'
-	touch $@
-
-.venv/cell: .venv/dev
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,cell]'
-	touch $@
-
-.venv/peers: .venv/dev
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,peers]'
+.venv/%: .venv/base
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[$(EXTRAS_$*)]'
 	touch $@
 
 clean:

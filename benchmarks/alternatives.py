@@ -18,7 +18,7 @@ from scipy.stats import binomtest
 
 from reorient import load_estimator, so3
 from reorient.cli.arguments import Positional, parse
-from reorient.reporting.trust import RIGHT_DEG
+from reorient.reporting.trust import CORRECT_DEG
 from reorient.runs.files import make_folder, write_table
 from reorient.world.objects import ObjectSource
 from reorient.world.pairs import sample_pair
@@ -75,11 +75,11 @@ def main(config: Alternatives) -> None:
     for kind in meshes:
         mine = [row for row in rows if row["symmetry"] == kind]
         for what, hits in (
-            ("right but for symmetry", [float(str(row["error_sym_deg"])) < RIGHT_DEG for row in mine]),
-            ("right", [float(str(row["error_deg"])) < RIGHT_DEG for row in mine]),
+            ("right but for symmetry", [float(str(row["error_sym_deg"])) < CORRECT_DEG for row in mine]),
+            ("right", [float(str(row["error_deg"])) < CORRECT_DEG for row in mine]),
             (
                 "the true rotation is the answer or an alternative",
-                [float(str(row["nearest_deg"])) < RIGHT_DEG for row in mine],
+                [float(str(row["nearest_deg"])) < CORRECT_DEG for row in mine],
             ),
             ("no alternatives", [row["alternatives"] == 0 for row in mine]),
         ):

@@ -14,7 +14,7 @@ import numpy as np
 
 from reorient.cli.arguments import Positional, parse
 from reorient.reporting.rows import numbers, read_rows
-from reorient.reporting.trust import calibration_error, confident, figure, reliability, risk, said_and_right
+from reorient.reporting.trust import calibration_error, confidence_and_correct, confident, figure, reliability, risk
 from reorient.runs.files import replacing
 
 
@@ -39,13 +39,13 @@ def main(config: Calibration) -> None:
         raise SystemExit(
             f"no confidences of {config.estimator!r} in {str(config.folder)!r}: expected rows that have one"
         )
-    said, right = said_and_right(rows)
+    said, right = confidence_and_correct(rows)
     bins = reliability(said, right, config.bins)
     print("confidence  pairs   said    was  (95% interval)")
     for one in bins:
         low, high = one.interval
         edges = f"{one.low:.1f}-{one.high:.1f}"
-        print(f"{edges:10s} {one.n:6d}  {one.said:5.1%}  {one.was:5.1%}  ({low:.0%}-{high:.0%})")
+        print(f"{edges:10s} {one.n:6d}  {one.confidence:5.1%}  {one.accuracy:5.1%}  ({low:.0%}-{high:.0%})")
     print(f"{len(rows)} pairs, right {right.mean():.1%}, expected calibration error {calibration_error(bins):.3f}")
     low_deg = numbers(rows, "low_deg")
     for upto in (90, 180):

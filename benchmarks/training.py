@@ -20,7 +20,8 @@ import trimesh
 from reorient.learning.batches import Augmentation, Batches
 from reorient.learning.losses import mean_loss
 from reorient.learning.network import build
-from reorient.learning.pair_store import PairReader, generate
+from reorient.learning.pair_reader import PairReader
+from reorient.learning.pair_store import generate
 from reorient.learning.recipes import PRESETS, Training
 from reorient.runs.pool import Pool
 from reorient.world.objects import ObjectSource
@@ -83,7 +84,7 @@ def main() -> None:
                 reader.read(order[i : i + recipe.batch])
             read = len(order) / (time.perf_counter() - begin)
             batches = Batches(
-                reader, range(OBJECTS), recipe.batch, (1,), augmentation=Augmentation(recipe.turned, recipe.noise)
+                reader, range(OBJECTS), recipe.batch, (1,), augmentation=Augmentation(recipe.rotated, recipe.noise)
             )
             begin = time.perf_counter()
             several = list(batches)

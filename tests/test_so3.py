@@ -270,3 +270,25 @@ def test_normalize_refuses_what_has_no_direction(quat):
 def test_bounded_sampling_refuses_no_range_of_angles(low_rad, high_rad, rng):
     with pytest.raises(ReorientError, match=r"angle range .* expected 0 <= low <= high <= pi"):
         so3.sample_bounded(rng, 1, low_rad, high_rad)
+
+
+# --- sets of rotations ----------------------------------------------------------------------------------------------
+
+
+def test_suppression_keeps_the_best_of_every_neighbourhood(rng):
+    R, score, radius_rad = so3.sample_uniform(rng, 400), rng.random(400), 0.8
+    kept = so3.non_maximum_suppression(R, score, radius_rad)
+    assert 10 < len(kept) < 400
+    assert np.all(np.diff(score[kept]) < 0)
+    apart_rad = so3.angle_difference(R[kept][:, None], R[kept])[~np.eye(len(kept), dtype=bool)]
+    assert apart_rad.min() > radius_rad - 1e-3
+    for i in set(range(400)) - set(kept.tolist()):  # each of the others is near one that is better
+        near = so3.angle_difference(R[kept], R[i]) < radius_rad + 1e-3
+        assert score[kept][near].max() > score[i]
+
+
+def test_suppression_of_equal_scores_keeps_the_first_and_at_most_so_many(rng):
+    R = np.repeat(so3.grid(6), 2, axis=0)
+    assert so3.non_maximum_suppression(R, np.zeros(12), 0.1).tolist() == [0, 2, 4, 6, 8, 10]
+    assert so3.non_maximum_suppression(R, np.arange(12.0), 0.1, most=2).tolist() == [11, 9]
+    assert so3.non_maximum_suppression(R[:0], np.zeros(0), 0.1).tolist() == []

@@ -29,4 +29,4 @@ def cell(mesh):
 def perfect(mesh):
     """A cell without any error."""
     plant = PlantConfig(noise_m=0.0, errors=Errors(0.0, 0.0, 0.0))
-    return holding(mesh, plant=plant, astray_m=0.0, astray_rad=0.0)
+    return holding(mesh, plant=plant, calibration_error_m=0.0, calibration_error_rad=0.0)

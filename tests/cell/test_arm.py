@@ -3,7 +3,7 @@ import pytest
 
 from reorient import se3, so3
 from reorient.errors import ReorientError, StationError
-from reorient.stations.cell.arm import YUMI, Arm, turned
+from reorient.stations.cell.arm import YUMI, Arm, rotated_pose
 
 PLACE_M = np.array([0.4, 0.15, 0.22])
 
@@ -44,10 +44,10 @@ def test_inverse_kinematics_undoes_forward(arm, rng):
     assert solved >= 4
 
 
-def test_a_small_turn_is_a_small_move(arm):
+def test_a_small_rotation_is_a_small_move(arm):
     level = se3.transform(so3.exp(np.array([0.0, np.pi / 2, 0.0])), PLACE_M)
     joints_rad = arm.solve(level, arm.home_rad)
-    next_rad = arm.solve(turned(level, so3.exp(np.radians([3.0, 2.0, -4.0])), PLACE_M), joints_rad)
+    next_rad = arm.solve(rotated_pose(level, so3.exp(np.radians([3.0, 2.0, -4.0])), PLACE_M), joints_rad)
     assert 0 < np.abs(next_rad - joints_rad).max() < np.radians(20)
 
 

@@ -11,7 +11,7 @@ from reorient.stations.cell.station import CellConfig
 
 from .conftest import holding
 
-TURN = so3.exp(np.radians([6.0, -8.0, 5.0]))  # camera axes
+ROTATION = so3.exp(np.radians([6.0, -8.0, 5.0]))  # camera axes
 
 
 def truly(cell):
@@ -27,40 +27,40 @@ def test_it_is_a_station(cell):
     assert image.stamp_s > 0
 
 
-def test_without_errors_it_turns_as_asked_on_the_left_in_camera_axes(perfect):
+def test_without_errors_it_rotates_as_commanded_on_the_left_in_camera_axes(perfect):
     before = truly(perfect)
-    R_executed = perfect.rotate(TURN)
+    R_executed = perfect.rotate(ROTATION)
     done = truly(perfect) @ before.T
-    assert so3.angle_difference(done, TURN) < np.radians(0.2)  # the servos sag
+    assert so3.angle_difference(done, ROTATION) < np.radians(0.2)  # the servos sag
     assert so3.angle_difference(done, R_executed) < np.radians(0.02)
 
 
 def test_it_reports_what_was_done_by_encoders(cell):
     before = truly(cell)
-    R_executed = cell.rotate(TURN)
+    R_executed = cell.rotate(ROTATION)
     done = truly(cell) @ before.T
     assert 0 < so3.angle_difference(done, R_executed) < np.radians(0.3)
-    assert so3.angle_difference(done, TURN) < np.radians(0.4)
+    assert so3.angle_difference(done, ROTATION) < np.radians(0.4)
 
 
-def test_the_pivot_stays_and_is_where_the_object_turns(cell):
+def test_the_pivot_stays_and_is_where_the_object_rotates(cell):
     true_m = se3.apply(cell.plant.depth.T_camera_world, cell.plant.tool_m)
     assert np.linalg.norm(cell.pivot_m - true_m) < 0.01
-    cell.rotate(TURN)
+    cell.rotate(ROTATION)
     assert np.linalg.norm(cell.pivot_m - true_m) < 0.01
 
 
 def test_out_of_reach_is_refused_before_anything_moves(cell):
     axes = so3.sample_axes(np.random.default_rng(0), 40)
     refused = [R for R in so3.exp(3.1 * axes) if not cell.reachable(R)]
-    assert refused  # no arm turns the gripper any way
+    assert refused  # no arm reaches every rotation
     before = cell.plant.R_world_object
     with pytest.raises(StationError, match="out of reach"):
         cell.rotate(refused[0])
     with pytest.raises(StationError, match=r"expected a \(3, 3\) rotation matrix"):
         cell.rotate(2 * np.eye(3))
     np.testing.assert_array_equal(cell.plant.R_world_object, before)
-    assert cell.reachable(TURN)
+    assert cell.reachable(ROTATION)
 
 
 def test_masks_agree_with_the_pixels_whose_ray_hits_the_object(cell):
@@ -73,18 +73,18 @@ def test_masks_agree_with_the_pixels_whose_ray_hits_the_object(cell):
 
 
 def test_an_object_is_placed_where_camera_and_projector_see_it(cell):
-    assert cell.plant.is_seen(cell.plant.read(), 0.65)  # placed at 0.7, then servos sag
-    assert not cell.plant.is_seen(cell.plant.read(), 1.5)
+    assert cell.plant.is_visible(cell.plant.read(), 0.65)  # placed at 0.7, then servos sag
+    assert not cell.plant.is_visible(cell.plant.read(), 1.5)
 
 
-def test_capturing_and_turning_never_read_the_truth(cell, monkeypatch):
+def test_capturing_and_rotating_never_read_the_truth(cell, monkeypatch):
     def forbidden(*_):
         raise AssertionError("the truth was read")
 
-    for name in ("R_world_object", "shows_object", "is_seen"):
+    for name in ("R_world_object", "shows_object", "is_visible"):
         monkeypatch.setattr(type(cell.plant), name, property(forbidden))
     cell.capture()
-    cell.rotate(TURN)
+    cell.rotate(ROTATION)
     assert cell.pivot_m.shape == (3,)
     assert not any(np.array_equal(cell.calibration.depth.T_world_camera, m.T_world_camera) for m in (cell.plant.depth,))
 

@@ -103,6 +103,38 @@ def test_camera_refuses(values, message):
         Camera(*values)
 
 
+K = np.array([[110.0, 0.0, 45.0], [0.0, 104.0, 33.0], [0.0, 0.0, 1.0]])
+
+
+def test_an_intrinsic_matrix_counts_pixel_centres_at_integers():
+    """As OpenCV does: K takes a point to (column, row) of the pixel whose centre it hits."""
+    camera = Camera.from_K(K, 96, 72)
+    assert camera == Camera(96, 72, 110.0, 104.0, 45.5, 33.5)
+    assert Camera.from_K(K.astype(int), 96, 72) == camera
+    depth_m = np.zeros((72, 96))
+    depth_m[7, 20] = 0.5
+    [point] = DepthImage(depth_m, camera).points()
+    assert np.allclose(K @ point / point[2], [20, 7, 1])
+
+
+@pytest.mark.parametrize(
+    ("matrix", "message"),
+    [
+        (K[:2], "intrinsic matrix .* expected .*fx, 0, cx"),
+        (K.T, "intrinsic matrix .* expected .*fx, 0, cx"),
+        (np.add(K, [[0, 0.1, 0], [0, 0, 0], [0, 0, 0]]), "without skew"),
+        (2 * K, "intrinsic matrix .* expected"),
+        (np.full((3, 3), "a"), "intrinsic matrix .* expected"),
+        (K * [[-1, 1, 1], [1, 1, 1], [1, 1, 1]], "fx=-110.0, .* expected finite pixels, fx, fy > 0"),
+        (K * [[1, 1, np.nan], [1, 1, 1], [1, 1, 1]], "cx=nan, .* expected finite pixels"),
+    ],
+)
+@pytest.mark.usefixtures("unchecked")
+def test_intrinsic_matrices_that_are_none_are_refused(matrix, message):
+    with pytest.raises(ReorientError, match=message):
+        Camera.from_K(matrix, 96, 72)
+
+
 @pytest.mark.usefixtures("unchecked")
 def test_numbers_of_any_type_are_kept_as_plain_ones():
     camera = Camera(np.int64(96), 72.0, *np.array([110.0, 104.0, 45.25, 33.5], np.float32))

@@ -16,9 +16,9 @@ from reorient.imaging.virtual_camera import (
     join,
     network_input,
     outline,
+    pivot_guess,
+    rotated,
     slide,
-    turned,
-    turning_points,
 )
 from reorient.world.rendering import Placement, Renderer
 
@@ -100,13 +100,13 @@ def test_a_target_lies_in_the_middle():
     assert np.allclose((virtual.R_virtual_camera @ pivot_m)[0, :2], 0)
 
 
-def test_looking_straight_ahead_turns_nothing():
+def test_aiming_straight_ahead_rotates_nothing():
     image = sphere_image(CAMERAS["f = 300"], SPHERES_M["ahead"])
     virtual = aim(outline(image.valid[None], image.camera), np.array([[0.0, 0.0, 0.6]]))
     assert np.array_equal(virtual.R_virtual_camera[0], np.eye(3))
 
 
-def test_the_turn_to_the_target_is_a_rotation_of_least_angle(rng):
+def test_aiming_is_the_rotation_of_least_angle(rng):
     target = np.array([0, 0, 1.5]) + rng.normal(0, 0.5, (20, 3))
     box = np.tile(np.array([[-0.1, 0.1], [-0.1, 0.1]]), (20, 1, 1))
     R = aim(box, target).R_virtual_camera
@@ -151,7 +151,7 @@ def test_a_rotation_seen_by_the_virtual_camera_comes_back_in_camera_axes(rng):
     assert so3.angle_difference(R_virtual, R_goal_current) > 0.02
 
 
-class TestTurned:
+class TestRotated:
     @pytest.fixture
     def pair(self, mesh):
         """Two views of a corner, 20 degrees apart, and the truth between them in virtual axes."""
@@ -165,33 +165,33 @@ class TestTurned:
         pivot_m = virtual.R_virtual_camera @ placement.center_m
         return virtual, views_m, virtual.from_camera(R_goal_current[None]), pivot_m
 
-    def agreement(self, a, b):
+    def overlap(self, a, b):
         return np.sum((a > 0) & (b > 0) & (np.abs(a - b) < 0.005)) / np.sum((a > 0) | (b > 0))
 
-    def test_by_the_truth_it_looks_like_the_goal(self, pair):
+    def test_by_the_truth_it_equals_the_goal(self, pair):
         virtual, (current_m, goal_m), R, pivot_m = pair
-        seen_m = turned(current_m[None], virtual.tangent, R, pivot_m, pivot_m)[0]
-        inverse_m = turned(current_m[None], virtual.tangent, np.swapaxes(R, 1, 2), pivot_m, pivot_m)[0]
-        assert self.agreement(seen_m, goal_m) > 0.75 > 0.5 > self.agreement(current_m, goal_m)
-        assert self.agreement(inverse_m, goal_m) < 0.4
+        seen_m = rotated(current_m[None], virtual.tangent, R, pivot_m, pivot_m)[0]
+        inverse_m = rotated(current_m[None], virtual.tangent, np.swapaxes(R, 1, 2), pivot_m, pivot_m)[0]
+        assert self.overlap(seen_m, goal_m) > 0.75 > 0.5 > self.overlap(current_m, goal_m)
+        assert self.overlap(inverse_m, goal_m) < 0.4
 
     def test_by_nothing_it_stays(self, pair):
         virtual, (current_m, _), _, pivot_m = pair
-        seen_m = turned(current_m[None], virtual.tangent, np.eye(3)[None], pivot_m, pivot_m)[0]
-        assert self.agreement(seen_m, current_m) > 0.98
+        seen_m = rotated(current_m[None], virtual.tangent, np.eye(3)[None], pivot_m, pivot_m)[0]
+        assert self.overlap(seen_m, current_m) > 0.98
 
     def test_the_nearest_of_coinciding_points_shows(self):
         view_m = np.zeros((1, SIZE_PX, SIZE_PX), np.float32)
         view_m[0, 64, 64], view_m[0, 64, 100] = 0.5, 0.6
         quarter = so3.exp(np.array([[0.0, np.pi / 2, 0.0]]))
         middle = np.array([[0.0, 0.0, 0.55]])
-        seen_m = turned(view_m, np.array([0.2]), quarter, middle, middle)
+        seen_m = rotated(view_m, np.array([0.2]), quarter, middle, middle)
         assert np.count_nonzero(seen_m) in (1, 2)
         assert seen_m.max() < 0.7
 
-    def test_guessed_turning_points_are_near_the_pivot(self, pair):
+    def test_guessed_pivot_guess_are_near_the_pivot(self, pair):
         virtual, views_m, _, pivot_m = pair
-        guesses_m = turning_points(np.stack(views_m), np.repeat(virtual.tangent, 2))
+        guesses_m = pivot_guess(np.stack(views_m), np.repeat(virtual.tangent, 2))
         assert np.linalg.norm(guesses_m - pivot_m, axis=1).max() < 0.04
 
 

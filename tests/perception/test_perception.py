@@ -11,14 +11,12 @@ from reorient.errors import ReorientError
 from reorient.imaging import Camera, DepthImage
 from reorient.perception.calibration import Calibration, MountedCamera
 from reorient.perception.colour import ColourRange
-from reorient.perception.recalibration import corrected
+from reorient.perception.frame import ColorImage, Frame, align
+from reorient.perception.recalibration import corrected_calibration
 from reorient.perception.segmentation import (
     Box,
     ByColour,
     ByShape,
-    ColorImage,
-    Frame,
-    align,
     crop,
     isolate_object,
     learn_gripper_colour,
@@ -82,7 +80,7 @@ def iou(a, b):
     return (a & b).sum() / (a | b).sum()
 
 
-def astray(mounted, off_m=0.001):
+def perturbed(mounted, off_m=0.001):
     T = se3.transform(so3.exp(np.radians(0.3) * np.array([0.6, 0.8, 0.0])), off_m * np.array([0.0, 0.6, 0.8]))
     return replace(mounted, T_world_camera=mounted.T_world_camera @ T)
 
@@ -165,9 +163,9 @@ def test_parts_that_the_gripper_cuts_off_are_kept_and_specks_are_not():
     assert not mask[speck]
 
 
-def test_a_colour_camera_astray_is_aimed_by_the_empty_gripper():
-    wrong = Calibration(TRUE.depth, astray(TRUE.color))
-    right = corrected(wrong, take(holds=False)[0])
+def test_a_perturbed_colour_camera_is_corrected_by_the_empty_gripper():
+    wrong = Calibration(TRUE.depth, perturbed(TRUE.color))
+    right = corrected_calibration(wrong, take(holds=False)[0])
 
     def off_px(calibration):
         at_m = [se3.apply(mounted.T_camera_world, TOOL_M) for mounted in (calibration.color, TRUE.color)]
@@ -179,12 +177,12 @@ def test_a_colour_camera_astray_is_aimed_by_the_empty_gripper():
 
 def test_a_colour_camera_that_sees_no_gripper_stays_as_it_was():
     elsewhere = replace(TRUE.color, T_world_camera=se3.transform(DOWN, TOOL_M + np.array([4.0, 0.0, 0.6])))
-    assert corrected(Calibration(TRUE.depth, elsewhere), take(holds=False)[0]).color is elsewhere
+    assert corrected_calibration(Calibration(TRUE.depth, elsewhere), take(holds=False)[0]).color is elsewhere
 
 
-def test_a_calibration_astray_is_put_right_by_the_empty_gripper():
-    wrong = Calibration(astray(TRUE.depth), TRUE.color)
-    right = corrected(wrong, take(holds=False)[0])
+def test_a_perturbed_depth_camera_is_corrected_by_the_empty_gripper():
+    wrong = Calibration(perturbed(TRUE.depth), TRUE.color)
+    right = corrected_calibration(wrong, take(holds=False)[0])
 
     def off_m(calibration):
         T = calibration.depth.T_world_camera
@@ -243,7 +241,7 @@ def test_a_cell_out_of_view_is_refused():
     with pytest.raises(ReorientError, match="no returns in the box around the gripper"):
         object_mask(replace(frame, tool_m=TOOL_M + np.array([0.0, 0.0, 5.0])), TRUE, ByShape())
     with pytest.raises(ReorientError, match="returns where the gripper should be"):
-        corrected(Calibration(astray(TRUE.depth, 0.1)), take(holds=False)[0])
+        corrected_calibration(Calibration(perturbed(TRUE.depth, 0.1)), take(holds=False)[0])
 
 
 def test_where_no_gripper_is_in_view_nothing_is_removed():
@@ -251,7 +249,7 @@ def test_where_no_gripper_is_in_view_nothing_is_removed():
     away = replace(frame, robot=GRIPPER.copy().apply_translation([3.0, 0.0, 0.0]))
     assert iou(object_mask(away, TRUE, ByShape(), Box((0.11, 0.11, 0.11))), truth) < 0.9  # the gripper is in it
     with pytest.raises(ReorientError, match="returns where the gripper should be"):
-        corrected(TRUE, replace(take(holds=False)[0], robot=away.robot))
+        corrected_calibration(TRUE, replace(take(holds=False)[0], robot=away.robot))
 
 
 def test_colour_needs_a_colour_camera():

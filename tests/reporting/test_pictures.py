@@ -80,8 +80,8 @@ def test_mesh_stands_upright_by_default():
     pixels = np.asarray(shade_mesh(trimesh.util.concatenate([plate, mast]), size_px=96), int)
     rows, _ = np.nonzero(np.abs(pixels - BACKGROUND).max(axis=2) > 40)
     assert rows.mean() > (rows.min() + rows.max()) / 2 + 5
-    turned = np.asarray(shade_mesh(plate, so3.exp(np.array([0.5, 0.0, 0.0])), 96), int)
-    assert np.abs(turned - pixels).mean() > 5
+    rotated = np.asarray(shade_mesh(plate, so3.exp(np.array([0.5, 0.0, 0.0])), 96), int)
+    assert np.abs(rotated - pixels).mean() > 5
 
 
 def test_framed_images_of_one_camera_share_a_window_that_keeps_every_return(camera: Camera):
@@ -132,10 +132,16 @@ def test_montage_goes_row_by_row():
 
 
 @pytest.mark.parametrize(
-    ("sizes", "columns", "labels"), [([], 1, None), ([8], 0, None), ([8], 1, []), ([8, 9], 2, None)]
+    ("sizes", "columns", "labels", "message"),
+    [
+        ([], 1, None, "0 pictures, 1 columns"),
+        ([8], 0, None, "1 pictures, 0 columns"),
+        ([8], 1, [], "0 labels: expected .* a label for each picture"),
+        ([8, 9], 2, None, r"sizes .* expected one size"),
+    ],
 )
-def test_montage_refuses(sizes, columns, labels):
-    with pytest.raises(ReorientError, match="expected"):
+def test_montage_refuses(sizes, columns, labels, message):
+    with pytest.raises(ReorientError, match=message):
         montage([Image.new("RGB", (size, size)) for size in sizes], columns, labels)
 
 

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.axes import Axes
 from PIL import Image
 from rich.console import Console
 
@@ -210,7 +209,7 @@ def test_reliability_and_risk_by_hand():
     said = np.array([0.95, 0.91, 0.55, 0.51, 0.05])
     right = np.array([True, True, False, True, False])
     bins = trust.reliability(said, right)
-    assert [(x.low, x.n, x.hits, x.was) for x in bins] == [(0.0, 1, 0, 0.0), (0.5, 2, 1, 0.5), (0.9, 2, 2, 1.0)]
+    assert [(x.low, x.n, x.hits, x.accuracy) for x in bins] == [(0.0, 1, 0, 0.0), (0.5, 2, 1, 0.5), (0.9, 2, 2, 1.0)]
     assert trust.calibration_error(bins) == pytest.approx((0.05 + 2 * 0.03 + 2 * 0.07) / 5)
     assert trust.risk(said, right) == pytest.approx([0, 0, 1 / 3, 1 / 4, 2 / 5])
     assert trust.reliability(np.ones(3), np.ones(3, bool))[0].high == 1  # certainty is in the last bin
@@ -259,7 +258,7 @@ def decoded(address: str) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(base64.b64decode(address.partition(",")[2]))), float)
 
 
-def test_report_holds_everything_and_turns_the_start_by_the_estimate(tmp_path):
+def test_report_holds_everything_and_rotates_the_start_by_the_estimate(tmp_path):
     config = Evaluation(ObjectSource(count=2), ("gicp",), ranges_deg=((40, 60),), noise_mm=(0.0,), pairs=2)
     cell = {"low_deg": 40, "high_deg": 60}
     rows = [row(0.0, pair=index, object=f"generated-0-00000{index}", **cell) for index in (0, 1)]
@@ -273,9 +272,9 @@ def test_report_holds_everything_and_turns_the_start_by_the_estimate(tmp_path):
     html = path.read_text()
     charts, cards = pictures_of(html)[:3], pictures_of(html)[3:]
     assert all(address.startswith("data:image/svg") for address in charts)
-    assert "What the confidence is worth" not in html
+    assert "Calibration of the confidence" not in html
     headings = ["Results", "Error against angle", "Error histograms", "Cumulative errors", "Best and worst pairs"]
-    assert re.findall("<h2>(.*?)</h2>", html) == [*headings, "How it was run"]
+    assert re.findall("<h2>(.*?)</h2>", html) == [*headings, "Configuration"]
     assert len(cards) == 4  # two worst, then two best
     assert "error 47.50°</b> (46.25° symmetry-aware)" in html
     assert "gave &lt;up&gt;" in html
@@ -287,10 +286,10 @@ def test_report_holds_everything_and_turns_the_start_by_the_estimate(tmp_path):
         step = (pixels.shape[1] - 240) // 2
         return [pixels[-240:, left : left + 240] for left in (0, step, 2 * step)]
 
-    start, goal, turned = panels(cards[1])
-    assert np.abs(turned - goal).mean() < 0.15 * np.abs(start - goal).mean()
-    start, goal, turned = panels(cards[0])  # no rotation: the start without its occluder
-    assert np.abs(turned - start).mean() < 0.5 * np.abs(turned - goal).mean()
+    start, goal, rotated = panels(cards[1])
+    assert np.abs(rotated - goal).mean() < 0.15 * np.abs(start - goal).mean()
+    start, goal, rotated = panels(cards[0])  # no rotation: the start without its occluder
+    assert np.abs(rotated - start).mean() < 0.5 * np.abs(rotated - goal).mean()
 
 
 def test_report_shows_overlap_and_confidence_where_they_are_known(tmp_path):
@@ -298,7 +297,7 @@ def test_report_shows_overlap_and_confidence_where_they_are_known(tmp_path):
     rows = [row(x, estimator="default", confidence=1 - x / 10, overlap=x / 10) for x in range(10)]
     html = write_report(write_rows(tmp_path, rows)).read_text()
     headings = re.findall("<h2>(.*?)</h2>", html)
-    assert headings[:3] == ["Results", "By overlap of the views", "What the confidence is worth"]
+    assert headings[:3] == ["Results", "By overlap of the views", "Calibration of the confidence"]
     assert '<td class="word">25–50%</td>' in html
     assert len(set(pictures_of(html))) == 4
 
@@ -311,18 +310,16 @@ def test_report_stands_without_the_meshes(tmp_path):
     assert html.count("no picture: no folder") == 16
 
 
-def test_histograms_hold_every_pair_of_each_estimator_and_panel(rows, monkeypatch):
-    drawn = []
-    monkeypatch.setattr(Axes, "stairs", lambda axes, *bars, **style: drawn.append((axes, *bars, style)))
-    figures.error_histograms([*rows, row(180.0), row(0.0, noise_mm=1.5)])
-    outlines = [bars for bars in drawn if not bars[-1].get("fill")]
-    assert len(outlines) == len(drawn) / 2 == 8  # two ranges, two noises, two estimators
-    assert len({axes for axes, *_ in outlines}) == 4
-    assert len({style["color"] for *_, style in outlines}) == 2
-    for _, share, edges, _ in outlines:
+def test_histograms_hold_every_pair_of_each_estimator_and_panel(rows):
+    figure = figures.error_histograms([*rows, row(180.0), row(0.0, noise_mm=1.5)])
+    assert len(figure.axes) == 4  # two ranges, two noises
+    outlines = [[bars for bars in axes.patches if not bars.get_fill()] for axes in figure.axes]
+    assert [len(bars) for bars in outlines] == [2] * 4
+    assert len({bars.get_edgecolor() for axes in outlines for bars in axes}) == 2  # two estimators
+    for share, edges, _ in (bars.get_data() for axes in outlines for bars in axes):
         assert share.sum() == pytest.approx(1)
         assert np.allclose(np.diff(np.log(edges)), np.log(edges[1] / edges[0]))
-    _, share, edges, _ = outlines[0]  # gicp without noise, 0–30°: 0 to 9, 140 and 180
+    share, edges, _ = outlines[0][0].get_data()  # gicp without noise, 0–30°: 0 to 9, 140 and 180
     assert share[edges[:-1] > 9].sum() == pytest.approx(2 / 12)
 
 

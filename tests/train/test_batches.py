@@ -1,12 +1,12 @@
-"""Splits by object; labels that follow their images through the virtual camera, the mirror and the turned start."""
+"""Splits by object; labels that follow their images through the virtual camera, the mirror and the rotated start."""
 
 import numpy as np
 import pytest
 
 from reorient import so3
-from reorient.imaging.virtual_camera import turned
+from reorient.imaging.virtual_camera import rotated
 from reorient.learning.batches import Augmentation, Batches, prepare
-from reorient.learning.pair_store import PairReader
+from reorient.learning.pair_reader import PairReader
 
 
 def depth_of(images):
@@ -14,9 +14,9 @@ def depth_of(images):
     return np.where(images > 0, 10 - images, 0).astype(np.float32)
 
 
-@pytest.mark.parametrize("augmentation", [None, Augmentation(), Augmentation(turned=1.0), Augmentation(noise=0.005)])
-def test_labels_turn_the_start_into_the_goal(small_set, augmentation):
-    """The start, turned by its label, covers the goal better than turned by the inverse or not at all."""
+@pytest.mark.parametrize("augmentation", [None, Augmentation(), Augmentation(rotated=1.0), Augmentation(noise=0.005)])
+def test_labels_rotate_the_start_into_the_goal(small_set, augmentation):
+    """The start, rotated by its label, covers the goal better than rotated by the inverse or not at all."""
     reader = PairReader(small_set)
     batch = reader.read(np.arange(48))
     rng = None if augmentation is None else np.random.default_rng(3)
@@ -29,7 +29,7 @@ def test_labels_turn_the_start_into_the_goal(small_set, augmentation):
     middle = np.array([0.0, 0.0, 9.0])[None].repeat(len(depth), 0)
 
     def misfit(R):
-        seen = turned(depth[:, 0], tangent, R, middle, middle)
+        seen = rotated(depth[:, 0], tangent, R, middle, middle)
         return np.mean((seen > 0) != (depth[:, 1] > 0), axis=(1, 2))
 
     stays, by_label, by_inverse = (misfit(x) for x in (np.eye(3)[None] + 0 * R[far], R[far], np.swapaxes(R[far], 1, 2)))
@@ -60,8 +60,8 @@ def test_vertices_are_posed_as_the_start_shows_them(small_set):
 
 def test_batches_are_the_same_from_any_of_them_on(small_set):
     reader = PairReader(small_set)
-    whole = list(Batches(reader, range(8), 8, (0, 1), augmentation=Augmentation(turned=0.5)))
-    late = list(Batches(reader, range(8), 8, (0, 1), first=4, augmentation=Augmentation(turned=0.5)))
+    whole = list(Batches(reader, range(8), 8, (0, 1), augmentation=Augmentation(rotated=0.5)))
+    late = list(Batches(reader, range(8), 8, (0, 1), first=4, augmentation=Augmentation(rotated=0.5)))
     assert len(whole) == 6
     for a, b in zip(whole[4:], late, strict=True):
         assert all((a[key] == b[key]).all() for key in a)
@@ -70,6 +70,6 @@ def test_batches_are_the_same_from_any_of_them_on(small_set):
 def test_processes_share_out_each_step(small_set):
     reader = PairReader(small_set)
     alone = next(iter(Batches(reader, range(8), 8, (0, 1))))
-    two = [next(iter(Batches(reader, range(8), 4, (0, 1), rank=rank, world=2))) for rank in (0, 1)]
+    two = [next(iter(Batches(reader, range(8), 4, (0, 1), process=(rank, 2)))) for rank in (0, 1)]
     joined = np.concatenate([part["images"] for part in two])
     assert (alone["images"].numpy() == joined).all()

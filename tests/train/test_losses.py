@@ -40,15 +40,15 @@ def test_shape_match_is_the_papers_formula(quaternions, cloud):
 
 
 def test_shape_match_forgives_a_symmetry_and_only_that(rng):
-    half_turn = torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=torch.float64)
+    flip = torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=torch.float64)
     x = rng.normal(0, 0.4, (1, 20, 3))
     symmetric = torch.from_numpy(np.concatenate([x, x * [-1, -1, 1]], axis=1))  # about z
     q = torch.from_numpy(so3.sample_bounded(rng, 1, 0.2, 0.5))
-    turned = torch.from_numpy(so3.multiply(q.numpy(), half_turn.numpy()))
+    flipped = torch.from_numpy(so3.multiply(q.numpy(), flip.numpy()))
     count = torch.tensor([40])
-    assert losses.shape_match_loss(turned, q, symmetric, count).item() == pytest.approx(0, abs=1e-12)
-    assert losses.mean_loss(turned, q).item() > 0.5
-    assert losses.shape_match_loss(turned, q, symmetric[:, :20], torch.tensor([20])).item() > 1e-3
+    assert losses.shape_match_loss(flipped, q, symmetric, count).item() == pytest.approx(0, abs=1e-12)
+    assert losses.mean_loss(flipped, q).item() > 0.5
+    assert losses.shape_match_loss(flipped, q, symmetric[:, :20], torch.tensor([20])).item() > 1e-3
 
 
 def test_shape_match_cannot_tell_q_from_minus_q_and_the_mean_loss_can(quaternions, cloud):

@@ -8,7 +8,7 @@ from torch import nn
 from reorient.learning import losses
 from reorient.learning.batches import prepare
 from reorient.learning.network import build
-from reorient.learning.pair_store import PairReader
+from reorient.learning.pair_reader import PairReader
 
 
 @pytest.mark.parametrize("name", ["paper", "swift"])

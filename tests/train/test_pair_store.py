@@ -14,7 +14,8 @@ import pytest
 from conftest import SMALL
 from reorient import so3
 from reorient.errors import ReorientError
-from reorient.learning.pair_store import PairReader, estimate_cost, generate
+from reorient.learning.pair_reader import PairReader
+from reorient.learning.pair_store import estimate_cost, generate
 from reorient.runs.pool import Pool
 from reorient.world.objects import ObjectSource
 from reorient.world.pairs import PairSet
@@ -72,13 +73,15 @@ def test_killed_at_any_moment_it_finishes_to_the_same_bytes(tmp_path):
         "7",
     ]
     command += ["--pairs-per-object", "64", "--workers", "1"]
-    for wait_s in (3.0, 4.5):
-        process = subprocess.Popen(
-            command, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-        )
-        time.sleep(wait_s)
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
+    process = subprocess.Popen(command, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    first = tmp_path / "set" / "quat_wxyz" / "c"
+    while not first.exists():  # one of the two shards is there, the other is being made
+        assert process.poll() is None, "it ended before it was killed"
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    with pytest.raises(ReorientError, match="1 shards of .* are missing"):
+        PairReader(tmp_path / "set")
     assert run(config, tmp_path / "set").done == 1536
     run(config, tmp_path / "whole", pool=Pool(2))
     whole = digest(tmp_path / "whole")

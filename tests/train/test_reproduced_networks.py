@@ -7,7 +7,7 @@ import torch
 
 from reorient.learning.network import build
 from reorient.learning.recipes import load_preset
-from reorient.learning.training import load_weights
+from reorient.learning.weights import load_weights
 from reorient.reporting.rows import read_table
 from reorient.reproducing.findings import held
 from reorient.reproducing.full import Full

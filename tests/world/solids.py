@@ -53,7 +53,7 @@ SHAPES = {  # the mesh, the number of rotations, the number of axes
 
 
 @functools.cache
-def turned(name):
+def posed(name):
     """The shape out of line with the axes and away from the origin, and how it got there."""
     mesh = SHAPES[name][0]()
     pose = np.eye(4)

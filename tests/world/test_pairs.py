@@ -19,7 +19,7 @@ def renderer(mesh):
     return Renderer(mesh)
 
 
-def test_the_goal_is_the_start_turned_on_the_left_in_camera_axes(renderer, rng):
+def test_the_goal_is_the_start_rotated_on_the_left_in_camera_axes(renderer, rng):
     pair = sample_pair(rng, renderer, WORLD, Sensor(), np.pi / 6, np.pi / 4)
     R_start, R = pair.R_camera_object, pair.R_goal_current
 
@@ -44,9 +44,9 @@ def test_angles_are_uniform_within_their_range_and_images_have_returns(renderer,
 def test_only_the_start_bears_the_rectangle(renderer, rng):
     pair = sample_pair(rng, renderer, WORLD, Sensor(rectangle=True), 0.1, 0.2)
     whole = renderer.depth(WORLD.camera, pair.R_camera_object, pair.placement) > 0
-    turned = renderer.depth(WORLD.camera, pair.R_goal_current @ pair.R_camera_object, pair.placement) > 0
+    rotated = renderer.depth(WORLD.camera, pair.R_goal_current @ pair.R_camera_object, pair.placement) > 0
     assert np.any(whole & ~pair.current.valid)
-    assert np.array_equal(pair.goal.valid, turned)
+    assert np.array_equal(pair.goal.valid, rotated)
 
 
 def test_the_same_seed_gives_the_same_pair(renderer):
@@ -64,10 +64,10 @@ def test_an_object_that_is_hardly_seen_is_refused(rng):
         sample_pair(rng, Renderer(needle), WORLD, Sensor(), 0.0, 0.5)
 
 
-def overlap_of(shape: trimesh.Trimesh, turn: np.ndarray) -> float:
-    """Of a small shape straight ahead and its turn."""
+def overlap_of(shape: trimesh.Trimesh, rotvec_rad: np.ndarray) -> float:
+    """Of a small shape straight ahead and its rotation."""
     renderer, placement = Renderer(shape), Placement(0.05, np.array([0.0, 0.0, 0.6]))
-    R = so3.exp(turn)
+    R = so3.exp(rotvec_rad)
     images = [DepthImage(renderer.depth(WORLD.camera, x, placement), WORLD.camera) for x in (np.eye(3), R)]
     return view_overlap(renderer, Pair(*images, R, np.eye(3), placement, placement.center_m))
 

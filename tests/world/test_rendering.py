@@ -68,10 +68,11 @@ def test_depth_of_a_sphere(camera):
 
 
 def test_depth_and_incidence_of_a_tilted_plane(camera):
-    """Also: both sides of a surface are seen, and a flat mesh (which has no hull) is framed."""
+    """Also: both sides of a surface are visible."""
     quad = trimesh.Trimesh([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.0]], [[0, 1, 2], [0, 2, 3]], process=False)
-    for quad_seen in (quad, quad.copy()):
-        quad_seen.invert()
+    inverted = quad.copy()
+    inverted.invert()
+    for quad_seen in (quad, inverted):
         for R in ROTATIONS:
             normal = R[:, 2]
             d = camera.rays()
@@ -95,6 +96,16 @@ def test_both_sides_of_a_triangle_are_seen(camera):
     assert np.array_equal(front, back)
 
 
+def test_a_flat_mesh_of_many_vertices_is_seen_whole(camera):
+    """It has no convex hull to take the outline from."""
+    flat = trimesh.creation.box((1.5, 1.0, 0.0)).subdivide().subdivide().subdivide()
+    assert len(flat.vertices) > 200
+    for R in ROTATIONS:
+        fewer, every = (Renderer(flat, every_pixel=x).depth(camera, R, PLACEMENT) for x in (False, True))
+        assert np.count_nonzero(every) > 100
+        assert np.array_equal(fewer, every)
+
+
 @pytest.mark.parametrize("R_camera_object", ROTATIONS)
 def test_incidence_comes_with_the_same_depth(R_camera_object, mesh, camera):
     renderer = Renderer(mesh)
@@ -108,20 +119,20 @@ def test_incidence_comes_with_the_same_depth(R_camera_object, mesh, camera):
 
 
 @pytest.mark.parametrize("R_camera_object", ROTATIONS)
-def test_turning_the_object_is_turning_its_vertices(R_camera_object, mesh, camera):
+def test_rotating_the_object_is_rotating_its_vertices(R_camera_object, mesh, camera):
     posed = Renderer(mesh).depth(camera, R_camera_object, PLACEMENT)
 
-    def with_turned_vertices(R):
-        turned = center(mesh)
-        turned.vertices = turned.vertices @ R.T
-        middle = turned.bounds.mean(axis=0)  # the renderer centres the mesh anew
-        return Renderer(turned).depth(camera, np.eye(3), Placement(0.1, CENTER_M + 0.1 * middle))
+    def with_rotated_vertices(R):
+        rotated = center(mesh)
+        rotated.vertices = rotated.vertices @ R.T
+        middle = rotated.bounds.mean(axis=0)  # the renderer centres the mesh anew
+        return Renderer(rotated).depth(camera, np.eye(3), Placement(0.1, CENTER_M + 0.1 * middle))
 
-    assert np.count_nonzero((posed > 0) != (with_turned_vertices(R_camera_object) > 0)) <= 2
-    both = (posed > 0) & (with_turned_vertices(R_camera_object) > 0)
-    far_off = np.abs(posed - with_turned_vertices(R_camera_object))[both] > HALF_STEP_M
+    assert np.count_nonzero((posed > 0) != (with_rotated_vertices(R_camera_object) > 0)) <= 2
+    both = (posed > 0) & (with_rotated_vertices(R_camera_object) > 0)
+    far_off = np.abs(posed - with_rotated_vertices(R_camera_object))[both] > HALF_STEP_M
     assert far_off.sum() <= 2  # a ray along an edge may pass on either side of it
-    assert np.count_nonzero((posed > 0) != (with_turned_vertices(R_camera_object.T) > 0)) > 50
+    assert np.count_nonzero((posed > 0) != (with_rotated_vertices(R_camera_object.T) > 0)) > 50
 
 
 @pytest.mark.parametrize("R_camera_object", ROTATIONS)
@@ -168,11 +179,11 @@ def test_an_image_is_the_crop_of_a_larger_one(center_m, mesh, camera):
 
 @pytest.mark.parametrize("center_m", SHIFTS_M.values(), ids=SHIFTS_M)
 @pytest.mark.parametrize("body", ["mesh", *BODIES])
-def test_rays_left_out_would_have_hit_nothing(body, center_m, mesh, camera, monkeypatch):
+def test_rays_left_out_would_have_hit_nothing(body, center_m, mesh, camera):
     """To the bit: the same images as from rays through every pixel."""
-    renderer, placement = Renderer(BODIES.get(body, mesh)), Placement(0.1, np.array(center_m))
+    placement = Placement(0.1, np.array(center_m))
 
-    def images():
+    def images(renderer):
         return [
             image
             for R in so3.sample_uniform(np.random.default_rng(3), 10)
@@ -183,17 +194,19 @@ def test_rays_left_out_would_have_hit_nothing(body, center_m, mesh, camera, monk
             )
         ]
 
-    fewer = images()
-    monkeypatch.setattr(
-        "reorient.world.rendering._cells_within", lambda camera, _: (0, np.arange(camera.height * camera.width))
-    )
-    assert all(np.array_equal(a, b) for a, b in zip(fewer, images(), strict=True))
+    fewer, every = (images(Renderer(BODIES.get(body, mesh), every_pixel=x)) for x in (False, True))
+    assert all(np.array_equal(a, b) for a, b in zip(fewer, every, strict=True))
+
+
+def test_every_pixel_is_every_pixel(mesh, camera):
+    pixels, _, _ = Renderer(mesh, every_pixel=True).rays(camera, ROTATIONS[0], PLACEMENT)
+    assert np.array_equal(pixels, np.arange(camera.height * camera.width))
 
 
 def test_few_rays_are_left_out_in_vain(mesh, camera):
     renderer = Renderer(mesh.convex_hull)
     for R in ROTATIONS:
-        pixels, _, _ = renderer._rays(camera, R, PLACEMENT)
+        pixels, _, _ = renderer.rays(camera, R, PLACEMENT)
         assert len(pixels) < 1.15 * np.count_nonzero(renderer.depth(camera, R, PLACEMENT))
 
 

@@ -80,22 +80,22 @@ def test_objects_vary_as_household_things_do(objects):
     assert genus.max() >= 10
 
 
-def half_turn_gap(mesh: trimesh.Trimesh) -> float:
-    """The smallest share of surface points that a half turn about x, y or z takes off the surface (by 0.1 radii)."""
+def flip_gap(mesh: trimesh.Trimesh) -> float:
+    """Smallest share of points that a rotation by 180 degrees about x, y or z takes off the surface (by 0.1 radii)."""
     points, surface = mesh.sample(300, seed=1), cKDTree(mesh.sample(3000, seed=2))
-    turns = 2 * np.eye(3)[:, :, None] * np.eye(3)[:, None] - np.eye(3)
-    return min(float(np.mean(surface.query(points @ turn)[0] > 0.1)) for turn in turns)
+    flips = 2 * np.eye(3)[:, :, None] * np.eye(3)[:, None] - np.eye(3)
+    return min(float(np.mean(surface.query(points @ flip)[0] > 0.1)) for flip in flips)
 
 
-def test_half_turn_gap_sees_a_symmetry_and_its_break():
+def test_flip_gap_sees_a_symmetry_and_its_break():
     bar = trimesh.creation.box((0.4, 0.6, 1.8))
-    assert half_turn_gap(bar) == 0
+    assert flip_gap(bar) == 0
     knob = trimesh.creation.box((0.5, 0.5, 0.5), transform=trimesh.transformations.translation_matrix((0.4, 0.3, 0.7)))
-    assert half_turn_gap(bar + knob) > 0.05
+    assert flip_gap(bar + knob) > 0.05
 
 
-def test_most_objects_have_no_half_turn_symmetry(objects):
-    gaps = np.array([half_turn_gap(mesh) for mesh in objects[:60]])
+def test_most_objects_have_no_180_degree_symmetry(objects):
+    gaps = np.array([flip_gap(mesh) for mesh in objects[:60]])
     assert np.mean(gaps > 0.05) > 0.6
 
 

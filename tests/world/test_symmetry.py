@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.spatial import cKDTree
-from solids import SHAPES, nearest_angle, turned
+from solids import SHAPES, nearest_angle, posed
 
 from reorient import so3
 from reorient.errors import ReorientError
@@ -16,7 +16,7 @@ from reorient.world.symmetry import SYMMETRIC_BELOW, rotation_group, symmetric_e
 
 @functools.cache
 def group_of(name):
-    return rotation_group(turned(name)[0])
+    return rotation_group(posed(name)[0])
 
 
 def members(group):
@@ -34,7 +34,7 @@ def test_group_of_a_known_solid(name):
 
 @pytest.mark.parametrize("name", [n for n, (_, count, _) in SHAPES.items() if count > 1])
 def test_rotations_are_a_group_and_map_the_solid_to_itself(name):
-    mesh, _ = turned(name)
+    mesh, _ = posed(name)
     group = group_of(name)
     R = members(group)
     assert np.allclose(R[0], np.eye(3), atol=1e-9)
@@ -65,17 +65,19 @@ def test_residual_tells_symmetric_from_irregular():
 
 
 def test_residual_is_what_its_definition_says():
-    mesh, _ = turned("irregular bracket")
+    mesh, _ = posed("irregular bracket")
     cloud, probes = (trimesh.sample.sample_surface(mesh, n, seed=n)[0] - mesh.centroid for n in (10_000, 100))
     axes = so3.sample_axes(np.random.default_rng(0), 600)
-    R = np.concatenate([so3.exp(axes * np.radians(25)), so3.exp(axes * np.pi)])  # it is nearest where turned least
+    R = np.concatenate(
+        [so3.exp(axes * np.radians(25)), so3.exp(axes * np.pi)]
+    )  # the distance is least at the smallest angle
     distance = cKDTree(cloud).query(probes @ np.swapaxes(R, 1, 2))[0]
     at_random = np.quantile(distance, 0.95, axis=1).min() / np.sqrt(np.mean(np.sum(cloud**2, axis=1)))
     assert 0.75 * at_random < group_of("irregular bracket").residual < 1.02 * at_random
 
 
 def test_residual_and_group_do_not_depend_on_size():
-    mesh = turned("L bracket")[0].copy().apply_scale(1e-3)
+    mesh = posed("L bracket")[0].copy().apply_scale(1e-3)
     group = rotation_group(mesh)
     assert np.allclose(group.residual, group_of("L bracket").residual, atol=1e-3)
     assert nearest_angle(group.rotations, group_of("L bracket").rotations).max() < np.radians(0.5)
@@ -83,7 +85,7 @@ def test_residual_and_group_do_not_depend_on_size():
 
 @pytest.mark.parametrize("name", ["square prism", "L bracket", "bottle"])
 def test_turning_the_mesh_conjugates_the_group(name):
-    mesh, _ = turned(name)
+    mesh, _ = posed(name)
     before = group_of(name)
     pose = np.eye(4)
     R = pose[:3, :3] = so3.sample_uniform(np.random.default_rng(5), 1)[0]
@@ -96,12 +98,12 @@ def test_turning_the_mesh_conjugates_the_group(name):
 
 
 def test_axis_is_the_axis():
-    _, pose = turned("bottle")
+    _, pose = posed("bottle")
     assert abs(group_of("bottle").axes[0] @ pose[:3, 2]) > np.cos(np.radians(0.5))
 
 
 def test_same_mesh_same_group():
-    again = rotation_group(turned("L bracket")[0])
+    again = rotation_group(posed("L bracket")[0])
     assert np.array_equal(again.rotations, group_of("L bracket").rotations)
 
 
@@ -112,7 +114,7 @@ def test_error_is_zero_for_what_looks_the_same(name):
     for g in members(group):
         R_est = R_gt @ R_camera_object @ g @ R_camera_object.T
         assert symmetric_error(group, R_est, R_gt, R_camera_object) < 1e-6
-    # The same turn in other axes, or on the other side, is another one.
+    # The same rotation in other axes, or on the other side, is another one.
     g = members(group)[-1]
     for wrong in (R_gt @ g, g @ R_gt, R_camera_object @ g @ R_camera_object.T @ R_gt):
         assert symmetric_error(group, wrong, R_gt, R_camera_object) > 0.1
@@ -152,7 +154,7 @@ def test_open_and_flat_meshes_do_not_crash_or_warn():
     triangle = trimesh.Trimesh([[0, 0, 0], [3, 0, 0], [0.4, 1, 0]], [[0, 1, 2]])
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        for mesh in (turned("sheet")[0], turned("open bowl")[0], turned("box without a side")[0], triangle):
+        for mesh in (posed("sheet")[0], posed("open bowl")[0], posed("box without a side")[0], triangle):
             assert np.isfinite(rotation_group(mesh).residual)
 
 

@@ -18,9 +18,9 @@ from reorient.imaging.virtual_camera import (
     join,
     network_input,
     outline,
+    pivot_guess,
+    rotated,
     slide,
-    turned,
-    turning_points,
 )
 from reorient.registration import DepthView, compact
 
@@ -82,10 +82,10 @@ class Learned:
         current_m, goal_m = views_m
         R_virtual = so3.matrix_from_quat(self._answer_wxyz(current_m, goal_m, virtual))
         for _ in range(self._rounds - 1):
-            seen_m = turned(current_m, virtual.tangent, R_virtual, from_m, to_m)
+            seen_m = rotated(current_m, virtual.tangent, R_virtual, from_m, to_m)
             if pivot_m is None:  # the rotated view improves a guess
                 to_m = to_m + slide(seen_m, goal_m, virtual.tangent)
-                seen_m = turned(current_m, virtual.tangent, R_virtual, from_m, to_m)
+                seen_m = rotated(current_m, virtual.tangent, R_virtual, from_m, to_m)
             left_wxyz = self._answer_wxyz(seen_m, goal_m, virtual)
             if np.all(so3.angle(R_virtual) < NEAR_RAD):
                 left_wxyz = so3.normalize(left_wxyz + so3.conjugate(self._answer_wxyz(goal_m, seen_m, virtual)))
@@ -127,5 +127,5 @@ class Learned:
     ) -> Float[np.ndarray, "n 3"]:
         """The pivot, else a guess from the visible surface, in virtual axes."""
         if pivot_m is None:
-            return turning_points(view_m, virtual.tangent)
+            return pivot_guess(view_m, virtual.tangent)
         return np.asarray(virtual.R_virtual_camera @ pivot_m)

@@ -213,7 +213,7 @@ def _rotation_away(cell: Any, rng: Generator, low_rad: float, high_rad: float) -
             joints_rad = cell.plan(R)
         except StationError:
             continue
-        if cell.plant.is_seen(joints_rad, LEAST_VISIBLE):
+        if cell.plant.is_visible(joints_rad, LEAST_VISIBLE):
             return R
     return None
 

@@ -6,24 +6,25 @@ Camera axes are OpenCV's: x right, y down, z forward. Pixel centres lie at +0.5:
 
 from dataclasses import dataclass, replace
 from math import isfinite
-from numbers import Real
+from numbers import Real as RealNumber
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Real
 
 from reorient.errors import ReorientError
 
 
 def is_number(x: object) -> bool:
-    """Whether it is one finite real number."""
-    return isinstance(x, Real) and isfinite(x)
+    """Whether ``x`` is one finite real number."""
+    return isinstance(x, RealNumber) and isfinite(x)
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera without distortion; numbers of any type are kept as int and float.
+    """A pinhole camera without lens distortion. Numbers of any type are converted to int and float.
 
-    Raises ReorientError for sizes or focal lengths that are none.
+    Raises ReorientError for a size that is no positive whole number, for a focal length that is not positive, and for
+    numbers that are not finite.
     """
 
     width: int
@@ -50,24 +51,41 @@ class Camera:
         for name, kind in self.__annotations__.items():
             object.__setattr__(self, name, kind(getattr(self, name)))
 
+    @classmethod
+    def from_K(cls, K: Real[np.ndarray, "3 3"], width: int, height: int) -> "Camera":
+        """The camera of an intrinsic matrix as OpenCV, ROS, RealSense and BOP write it.
+
+        Those count pixel centres at integers, so 0.5 is added to the principal point. ``K`` is
+        ``[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]`` in pixels. Raises ReorientError for another form, for skew, and
+        whatever Camera refuses.
+        """
+        K = np.asarray(K)
+        numeric = K.shape == (3, 3) and K.dtype.kind in "iuf"
+        if not numeric or np.any(K[[0, 1, 2, 2], [1, 0, 0, 1]]) or K[2, 2] != 1:
+            raise ReorientError(
+                f"intrinsic matrix {K.tolist()}: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels, without skew"
+            )
+        fx, fy, cx, cy = K[[0, 1, 0, 1], [0, 1, 2, 2]].astype(float).tolist()
+        return cls(width, height, fx, fy, cx + 0.5, cy + 0.5)
+
     def cropped(self, left: int, top: int, width: int, height: int) -> "Camera":
-        """The camera of a window of this image; the window may reach beyond it."""
+        """The camera of a window of this image, in pixels. The window may reach beyond the image."""
         return replace(self, width=width, height=height, cx=self.cx - left, cy=self.cy - top)
 
     def resized(self, width: int, height: int) -> "Camera":
-        """The camera of this image scaled to another size in pixels."""
+        """The camera of this image scaled to another size, in pixels."""
         sx, sy = width / self.width, height / self.height
         return Camera(width, height, self.fx * sx, self.fy * sy, self.cx * sx, self.cy * sy)
 
     def rays(self) -> Float[np.ndarray, "height width 3"]:
-        """Through every pixel centre the direction (x, y, 1): times a depth, the point in camera axes."""
+        """The direction (x, y, 1) through every pixel centre. Depth times direction is the point in camera axes."""
         x = (np.arange(self.width) + 0.5 - self.cx) / self.fx
         y = (np.arange(self.height) + 0.5 - self.cy) / self.fy
         u, v = np.meshgrid(x, y)
         return np.stack([u, v, np.ones_like(u)], axis=-1)
 
     def project(self, points_m: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 2"]:
-        """Pixel coordinates (column, row) of points in front of the camera; NaN for z <= 0."""
+        """Pixel coordinates (column, row) of points in camera axes, metres. NaN where z <= 0."""
         with np.errstate(divide="ignore", invalid="ignore"):
             z = np.where(points_m[..., 2] > 0, points_m[..., 2], np.nan)
             u = self.fx * points_m[..., 0] / z + self.cx

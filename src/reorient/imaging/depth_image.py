@@ -3,72 +3,36 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Float32
 
 from reorient.errors import ReorientError
 from reorient.imaging.camera import Camera, is_number
 
-NEAREST_M = 0.01  # a median depth below this is no camera's
-MILLIMETRES_ABOVE = 20.0  # a median depth of over 20 is taken for millimetres: no depth camera holds an object there
+NEAREST_M = 0.01  # no depth camera measures a median depth below this
+MILLIMETRES_ABOVE = 20.0  # a median depth above this is taken as millimetres: no held object is 20 m away
 
 
 @dataclass(frozen=True, eq=False)
 class DepthImage:
-    """Depth of one isolated object, as a camera saw it.
+    """Depth of one isolated object, measured by one camera.
 
-    Raises ReorientError for a wrong shape or dtype, NaN or infinity, negative or all-zero depth, and what looks like
-    millimetres, and for a stamp that is no finite number. Floating-point depth of any width is kept as float32.
+    Floating-point depth of any width is converted to float32. Raises ReorientError for a wrong shape or dtype, NaN or
+    infinity, negative or all-zero depth, depth that is probably in millimetres, a missing camera, and a stamp that is
+    no finite number.
     """
 
     depth_m: Float[np.ndarray, "height width"]
     """Metres along the optical axis; 0 = no return, or not the object."""
     camera: Camera
     stamp_s: float | None = None
-    """When it was captured, seconds on the station's clock; None if unknown."""
+    """Time of capture, seconds on the station's clock; None if unknown."""
 
     def __post_init__(self) -> None:
-        try:
-            depth_m = np.asarray(self.depth_m)
-        except ValueError as error:  # rows of different lengths
-            raise ReorientError(f"depth is no image ({error}): expected an array (height, width)") from error
         if not isinstance(self.camera, Camera):
             raise ReorientError(
                 "missing intrinsics: expected a reorient.Camera (width, height, fx, fy, cx, cy) with the depth image"
             )
-        if not np.issubdtype(depth_m.dtype, np.floating):
-            raise ReorientError(
-                f"depth of dtype {depth_m.dtype}: expected floating-point metres (raw 16-bit units times their scale, "
-                "often 0.001)"
-            )
-        if depth_m.shape != (self.camera.height, self.camera.width):
-            raise ReorientError(
-                f"depth of shape {depth_m.shape}: expected (height, width) = ({self.camera.height}, "
-                f"{self.camera.width}) as in its camera"
-            )
-        with np.errstate(over="ignore"):
-            depth_m = depth_m.astype(np.float32)
-        lowest, highest = depth_m.min(), depth_m.max()  # NaN where any pixel is
-        if not np.isfinite([lowest, highest]).all():
-            raise ReorientError(
-                f"depth has {np.count_nonzero(~np.isfinite(depth_m))} NaN or infinite pixels: expected 0 for no return "
-                "(numpy.nan_to_num)"
-            )
-        if lowest < 0:
-            raise ReorientError(f"depth as low as {lowest:.3g} m: expected no negative value, 0 for no return")
-        if highest == 0:
-            raise ReorientError("depth is 0 everywhere: expected returns from the object (empty frame or empty mask?)")
-        returns = depth_m[depth_m > 0]
-        if returns.min() < NEAREST_M or highest > MILLIMETRES_ABOVE:  # else the median, dearer, is neither
-            median = float(np.median(returns))
-            if median < NEAREST_M:
-                raise ReorientError(
-                    f"median depth is {median:.2g} m: expected metres, at least {NEAREST_M} (wrong scale?)"
-                )
-            if median > MILLIMETRES_ABOVE:
-                raise ReorientError(
-                    f"median depth is {median:.0f}: this looks like millimetres, expected metres (times 0.001)"
-                )
-        object.__setattr__(self, "depth_m", depth_m)
+        object.__setattr__(self, "depth_m", _checked_depth(self.depth_m, self.camera))
         if self.stamp_s is not None:
             if not is_number(self.stamp_s):
                 raise ReorientError(f"stamp {self.stamp_s!r}: expected finite seconds, or None if unknown")
@@ -76,16 +40,16 @@ class DepthImage:
 
     @property
     def valid(self) -> Bool[np.ndarray, "height width"]:
-        """Where there is a return."""
-        return self.depth_m > 0
+        """The pixels with a return."""
+        return np.asarray(self.depth_m > 0)
 
     def points(self) -> Float[np.ndarray, "n 3"]:
-        """The returns as points in camera axes, metres, row by row."""
+        """The returns as points in camera axes, metres, in row-major order."""
         valid = self.valid
-        return self.camera.rays()[valid] * self.depth_m[valid][:, None].astype(np.float64)
+        return np.asarray(self.camera.rays()[valid] * self.depth_m[valid][:, None].astype(np.float64))
 
     def cropped(self, left: int, top: int, width: int, height: int) -> "DepthImage":
-        """A window; where it reaches beyond the image it has no returns. Raises ReorientError if none is left."""
+        """A window in pixels, without returns beyond the image. Raises ReorientError if it has no return at all."""
         camera = self.camera.cropped(left, top, width, height)
         out = np.zeros((height, width), np.float32)
         rows = slice(max(top, 0), min(top + height, self.camera.height))
@@ -96,7 +60,51 @@ class DepthImage:
         return replace(self, depth_m=out, camera=camera)
 
     def resized(self, width: int, height: int) -> "DepthImage":
-        """Another size by nearest neighbour: mixing depths across an edge would invent points."""
+        """Another size in pixels, by nearest neighbour: interpolating depth across an edge would invent points."""
         rows = ((np.arange(height) + 0.5) * self.camera.height / height).astype(int)
         columns = ((np.arange(width) + 0.5) * self.camera.width / width).astype(int)
         return replace(self, depth_m=self.depth_m[np.ix_(rows, columns)], camera=self.camera.resized(width, height))
+
+
+def _checked_depth(depth_m: object, camera: Camera) -> Float32[np.ndarray, "height width"]:
+    """A float32 copy of the depth. Raises ReorientError unless it is a depth image of this camera in metres."""
+    try:
+        depth = np.asarray(depth_m)
+    except ValueError as error:  # rows of different lengths
+        raise ReorientError(f"depth is no image ({error}): expected an array (height, width)") from error
+    if not np.issubdtype(depth.dtype, np.floating):
+        raise ReorientError(
+            f"depth of dtype {depth.dtype}: expected floating-point metres (raw 16-bit units times their scale, "
+            "often 0.001)"
+        )
+    if depth.shape != (camera.height, camera.width):
+        raise ReorientError(
+            f"depth of shape {depth.shape}: expected (height, width) = ({camera.height}, {camera.width}) as in its "
+            "camera"
+        )
+    with np.errstate(over="ignore"):
+        depth = depth.astype(np.float32)
+    _check_values(depth)
+    return depth
+
+
+def _check_values(depth_m: Float32[np.ndarray, "height width"]) -> None:
+    """Raise ReorientError for values that no depth image in metres has."""
+    lowest, highest = depth_m.min(), depth_m.max()  # NaN where any pixel is
+    if not np.isfinite([lowest, highest]).all():
+        raise ReorientError(
+            f"depth has {np.count_nonzero(~np.isfinite(depth_m))} NaN or infinite pixels: expected 0 for no return "
+            "(numpy.nan_to_num)"
+        )
+    if lowest < 0:
+        raise ReorientError(f"depth as low as {lowest:.3g} m: expected no negative value, 0 for no return")
+    if highest == 0:
+        raise ReorientError("depth is 0 everywhere: expected returns from the object (empty frame or empty mask?)")
+    returns = depth_m[depth_m > 0]
+    if returns.min() >= NEAREST_M and highest <= MILLIMETRES_ABOVE:
+        return  # then so is the median, which takes longer to compute
+    median = float(np.median(returns))
+    if median < NEAREST_M:
+        raise ReorientError(f"median depth is {median:.2g} m: expected metres, at least {NEAREST_M} (wrong scale?)")
+    if median > MILLIMETRES_ABOVE:
+        raise ReorientError(f"median depth is {median:.0f}: this looks like millimetres, expected metres (times 0.001)")

@@ -1,7 +1,7 @@
 """Depth images and intrinsics on disk.
 
-Depth: 16-bit PNG and TIFF (the scale, metres per unit, is stated in the file when we write it, 0.001 when a file says
-nothing), float TIFF, .npy and .npz in metres. Intrinsics: JSON as reorient, Open3D or RealSense write it.
+Depth: 16-bit PNG and TIFF (scale in metres per unit from the file, 0.001 where the file has none), float TIFF, .npy and
+.npz in metres. Intrinsics: JSON in the format of reorient, Open3D or RealSense.
 """
 
 import json
@@ -22,10 +22,10 @@ _TIFF_DESCRIPTION = 270
 
 
 def read_camera(path: str | Path) -> Camera:
-    """Intrinsics from JSON: Open3D (``intrinsic_matrix``), RealSense (``ppx``, ``ppy``), or our own (``cx``, ``cy``).
+    """Intrinsics from JSON: Open3D (``intrinsic_matrix``), RealSense (``ppx``, ``ppy``), or reorient (``cx``, ``cy``).
 
-    Open3D and RealSense count pixel centres at integers, so 0.5 is added to their principal point; our own files count
-    them at +0.5. Raises ReorientError for what is missing and for lens distortion, which must be rectified before.
+    Open3D and RealSense count pixel centres at integers, so 0.5 is added to their principal point; files of reorient
+    count them at +0.5. Raises ReorientError for missing values, and for lens distortion: rectify the images first.
     """
     text = _existing(path, "camera file").read_text(errors="replace")
     try:
@@ -36,7 +36,7 @@ def read_camera(path: str | Path) -> Camera:
 
 
 def write_camera(path: str | Path, camera: Camera) -> None:
-    """Our own JSON style; pixel centres at +0.5."""
+    """Write intrinsics as JSON in the format of reorient; pixel centres at +0.5."""
     with replacing(path) as temporary:
         temporary.write_text(json.dumps(_camera_data(camera), indent=2) + "\n")
 
@@ -44,45 +44,47 @@ def write_camera(path: str | Path, camera: Camera) -> None:
 def read_depth(path: str | Path, camera: Camera | None = None, scale_m: float | None = None) -> DepthImage:
     """A depth image from .png, .tif(f), .npy or .npz.
 
-    ``camera``: its intrinsics, overriding what the file states; needed where it states none. ``scale_m``: metres per
-    unit of integer depth, overriding the file's own; floats are metres whatever it is. Raises ReorientError for a
-    missing, truncated or unknown file, missing intrinsics, and whatever DepthImage refuses.
+    ``camera``: intrinsics, overriding those in the file; needed where the file has none. ``scale_m``: metres per unit
+    of integer depth, overriding the file's own; floats are metres in any case. Raises ReorientError for a missing,
+    truncated or unknown file, missing intrinsics, and whatever DepthImage refuses.
     """
     path = _existing(path, "depth image")
     if path.suffix.lower() not in SUFFIXES:
         raise ReorientError(f"depth image {str(path)!r}: expected one of {', '.join(SUFFIXES)}")
     if scale_m is not None:
         _check_scale(scale_m)
-    try:
-        depth, stated = _read_arrays(path)
-    except ReorientError:
-        raise
-    except Exception as error:  # decoders raise whatever they like on broken files
-        raise ReorientError(
-            f"cannot read depth image {str(path)!r} ({type(error).__name__}: {error}): expected a complete file"
-        ) from error
-    if camera is None and "camera" in stated:
-        camera = camera_from(stated["camera"], str(path))
-    if camera is None:
-        raise ReorientError(f"missing intrinsics for {str(path)!r}: expected a camera file (--camera camera.json)")
+    depth, stated = _read_arrays(path)
+    camera = camera or _stated_camera(stated, path)
     if depth.ndim != 2:
         raise ReorientError(f"depth image {str(path)!r} has shape {depth.shape}: expected one channel, (height, width)")
-    integer = np.issubdtype(depth.dtype, np.integer)
-    if integer and (scale_m is not None or "scale_m" in stated):
-        scale_m = stated["scale_m"] if scale_m is None else scale_m
-        depth = depth * _check_scale(scale_m)
+    if np.issubdtype(depth.dtype, np.integer):
+        return _scaled(depth, camera, stated, scale_m)
     try:
         return DepthImage(depth, camera, stated.get("stamp_s"))
     except ReorientError as error:
-        if integer or scale_m is None:
+        if scale_m is None:
             raise
         raise ReorientError(f"{error}; a scale is for integers, but {str(path)!r} holds {depth.dtype}") from error
 
 
-def write_depth(path: str | Path, image: DepthImage, scale_m: float = SCALE_M) -> None:
-    """Write .png (16-bit, rounded to ``scale_m``), .tif(f) (float32), .npy or .npz; all but .npy carry the camera.
+def _stated_camera(stated: dict[str, Any], path: Path) -> Camera:
+    if "camera" not in stated:
+        raise ReorientError(f"missing intrinsics for {str(path)!r}: expected a camera file (--camera camera.json)")
+    return camera_from(stated["camera"], str(path))
 
-    Raises ReorientError for another suffix, for a scale not above 0 and for depth beyond 65535 units.
+
+def _scaled(units: np.ndarray, camera: Camera, stated: dict[str, Any], scale_m: float | None) -> DepthImage:
+    """A depth image from integer units at the given scale, else at that of the file."""
+    if scale_m is None:
+        scale_m = stated.get("scale_m")
+    depth = units if scale_m is None else units * _check_scale(scale_m)
+    return DepthImage(depth, camera, stated.get("stamp_s"))
+
+
+def write_depth(path: str | Path, image: DepthImage, scale_m: float = SCALE_M) -> None:
+    """Write .png (16-bit, rounded to ``scale_m``), .tif(f) (float32), .npy or .npz; all but .npy contain the camera.
+
+    Raises ReorientError for another suffix, for a scale not above 0 and for depth above 65535 units.
     """
     path = Path(path)
     _check_scale(scale_m)
@@ -96,7 +98,9 @@ def write_depth(path: str | Path, image: DepthImage, scale_m: float = SCALE_M) -
         if suffix == ".png":
             units = np.rint(image.depth_m.astype(np.float64) / scale_m)
             if units.max() > 65535:
-                raise ReorientError(f"depth of {image.depth_m.max():.2f} m does not fit 16 bits of {scale_m} m each")
+                raise ReorientError(
+                    f"depth of {image.depth_m.max():.2f} m does not fit 16 bits of {scale_m} m: expected a larger scale"
+                )
             text = PngImagePlugin.PngInfo()
             text.add_text("reorient", json.dumps(stated | {"scale_m": scale_m}))
             Image.fromarray(units.astype(np.uint16)).save(temporary, pnginfo=text)
@@ -105,7 +109,7 @@ def write_depth(path: str | Path, image: DepthImage, scale_m: float = SCALE_M) -
             tags[_TIFF_DESCRIPTION] = json.dumps(stated)
             Image.fromarray(image.depth_m).save(temporary, tiffinfo=tags)
         else:
-            with temporary.open("wb") as file:  # given a name, numpy adds ".npz" to ".NPZ"
+            with temporary.open("wb") as file:  # given a name, numpy appends ".npz" to ".NPZ"
                 if suffix == ".npz":
                     np.savez_compressed(file, depth_m=image.depth_m, stated=json.dumps(stated))
                 else:
@@ -113,15 +117,15 @@ def write_depth(path: str | Path, image: DepthImage, scale_m: float = SCALE_M) -
 
 
 def read_mask(path: str | Path) -> np.ndarray:
-    """A boolean (height, width) mask, true where the .npy array or any colour of the picture is not zero."""
+    """A boolean (height, width) mask: true where the .npy array, or any colour channel of the picture, is not zero."""
     path = _existing(path, "mask")
     try:
         if path.suffix == ".npy":
-            return np.load(path) != 0
+            return np.asarray(np.load(path) != 0)
         with Image.open(path) as picture:
-            if picture.mode != "P" and len(picture.getbands()) == 1:  # numbers, which RGB would clip
-                return np.asarray(picture) != 0
-            return np.asarray(picture.convert("RGB")).max(axis=-1) > 0  # without transparency
+            if picture.mode != "P" and len(picture.getbands()) == 1:  # RGB would clip its numbers
+                return np.asarray(np.asarray(picture) != 0)
+            return np.asarray(np.asarray(picture.convert("RGB")).max(axis=-1) > 0)  # transparency is ignored
     except Exception as error:
         raise ReorientError(f"cannot read mask {str(path)!r} ({error}): expected a picture or a .npy array") from error
 
@@ -140,25 +144,32 @@ def _check_scale(scale_m: Any) -> float:
 
 
 def _read_arrays(path: Path) -> tuple[np.ndarray, dict[str, Any]]:
-    """The array as stored, and what the file states: camera, scale_m, stamp_s."""
-    suffix = path.suffix.lower()
-    stated: Any = {}
-    if suffix == ".npy":
-        array = np.load(path)
-    elif suffix == ".npz":
-        with np.load(path) as arrays:
-            if "depth_m" not in arrays:
-                raise ReorientError(f"{str(path)!r} holds {', '.join(arrays)}: expected an array depth_m")
-            array = arrays["depth_m"]
-            stated = json.loads(str(arrays["stated"])) if "stated" in arrays else {}
-    else:
-        array, stated = _read_picture(path)
+    """The array as stored, and the metadata of the file: camera, scale_m, stamp_s."""
+    try:
+        array, stated = {".npy": _read_npy, ".npz": _read_npz}.get(path.suffix.lower(), _read_picture)(path)
+    except ReorientError:
+        raise
+    except Exception as error:  # the decoders raise many kinds of errors on broken files
+        raise ReorientError(
+            f"cannot read depth image {str(path)!r} ({type(error).__name__}: {error}): expected a complete file"
+        ) from error
     if not (isinstance(array, np.ndarray) and array.dtype.kind in "fiu" and isinstance(stated, dict)):
         raise ReorientError(f"{str(path)!r} holds no depth: expected an array of numbers")
     return array, stated
 
 
-def _read_picture(path: Path) -> tuple[np.ndarray, Any]:
+def _read_npy(path: Path) -> tuple[Any, Any]:
+    return np.load(path), {}
+
+
+def _read_npz(path: Path) -> tuple[Any, Any]:
+    with np.load(path) as arrays:
+        if "depth_m" not in arrays:
+            raise ReorientError(f"{str(path)!r} holds {', '.join(arrays)}: expected an array depth_m")
+        return arrays["depth_m"], json.loads(str(arrays["stated"])) if "stated" in arrays else {}
+
+
+def _read_picture(path: Path) -> tuple[Any, Any]:
     with Image.open(path) as picture:
         if picture.mode not in ("I;16", "I;16B", "I", "F"):
             raise ReorientError(f"{str(path)!r} is a {picture.mode} picture: expected 16-bit depth with one channel")
@@ -179,33 +190,16 @@ def _camera_data(camera: Camera) -> dict[str, Any]:
 
 
 def camera_from(data: Any, source: str) -> Camera:
-    """Intrinsics from JSON that is read already, of the file ``source``; otherwise as ``read_camera``."""
+    """Intrinsics from parsed JSON of the file ``source``. Formats and errors as of ``read_camera``."""
     if not isinstance(data, dict):
         raise ReorientError(f"camera in {source!r}: expected a JSON object with width, height and intrinsics")
-    offset = 0.5
     try:
-        size = int(data["width"]), int(data["height"])
-        if size != (float(data["width"]), float(data["height"])):
+        width, height = int(data["width"]), int(data["height"])
+        if (width, height) != (float(data["width"]), float(data["height"])):
             raise ReorientError(
                 f"camera in {source!r} of {data['width']} x {data['height']} px: expected whole numbers"
             )
-        if "intrinsic_matrix" in data:  # Open3D, column-major
-            K = np.array(data["intrinsic_matrix"], float).reshape(3, 3)
-            K = K if np.any(K[2, :2]) else K.T  # some writers store rows
-            if np.any(K[[0, 1, 0, 1], [1, 0, 2, 2]]) or K[2, 2] != 1:
-                raise ReorientError(
-                    f"intrinsic_matrix in {source!r}: expected [fx 0 0 0 fy 0 cx cy 1], column by column"
-                )
-            (fx, fy), (cx, cy) = np.diag(K)[:2].tolist(), K[2, :2].tolist()
-        elif "ppx" in data:  # RealSense
-            if np.any(np.asarray(data.get("coeffs", 0.0), float) != 0):
-                raise ReorientError(
-                    f"camera in {source!r} has lens distortion {data['coeffs']}: expected a rectified image"
-                )
-            fx, fy, cx, cy = (float(data[name]) for name in ("fx", "fy", "ppx", "ppy"))
-        else:
-            fx, fy, cx, cy = (float(data[name]) for name in ("fx", "fy", "cx", "cy"))
-            offset = 0.5 - float(data.get("pixel_centers_at", 0.5))
+        return Camera(width, height, *_optics(data, source))
     except ReorientError:
         raise
     except (KeyError, TypeError, ValueError, OverflowError) as error:
@@ -213,4 +207,35 @@ def camera_from(data: Any, source: str) -> Camera:
             f"missing intrinsics in {source!r} ({error}): expected width, height and fx, fy, cx, cy, or an Open3D "
             "intrinsic_matrix, or RealSense's ppx, ppy"
         ) from error
-    return Camera(*size, fx, fy, cx + offset, cy + offset)
+
+
+def _optics(data: dict[str, Any], source: str) -> tuple[float, float, float, float]:
+    """(fx, fy, cx, cy) with pixel centres at +0.5, from any of the three formats."""
+    if "intrinsic_matrix" in data:
+        return _open3d_optics(data["intrinsic_matrix"], source)
+    if "ppx" in data:
+        return _realsense_optics(data, source)
+    fx, fy, cx, cy = (float(data[name]) for name in ("fx", "fy", "cx", "cy"))
+    offset = 0.5 - float(data.get("pixel_centers_at", 0.5))
+    return fx, fy, cx + offset, cy + offset
+
+
+def _open3d_optics(matrix: Any, source: str) -> tuple[float, float, float, float]:
+    """Open3D stores the intrinsic matrix column by column; some writers store it row by row."""
+    K = np.array(matrix, float).reshape(3, 3)
+    K = K.T if np.any(K[2, :2]) else K
+    try:
+        camera = Camera.from_K(K, 1, 1)
+    except ReorientError as error:
+        raise ReorientError(
+            f"intrinsic_matrix in {source!r}: expected [fx 0 0 0 fy 0 cx cy 1], column by column, in pixels"
+        ) from error
+    return camera.fx, camera.fy, camera.cx, camera.cy
+
+
+def _realsense_optics(data: dict[str, Any], source: str) -> tuple[float, float, float, float]:
+    """RealSense counts pixel centres at integers, and states lens distortion as ``coeffs``."""
+    if np.any(np.asarray(data.get("coeffs", 0.0), float) != 0):
+        raise ReorientError(f"camera in {source!r} has lens distortion {data['coeffs']}: expected a rectified image")
+    fx, fy, cx, cy = (float(data[name]) for name in ("fx", "fy", "ppx", "ppy"))
+    return fx, fy, cx + 0.5, cy + 0.5

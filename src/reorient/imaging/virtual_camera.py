@@ -1,7 +1,7 @@
-"""The virtual camera: in the place of the real one, turned to look straight at the object and zoomed to it.
+"""The virtual camera: at the position of the real one, rotated to point at the object and zoomed to it.
 
-What it shows depends little on the real camera, so a network trained on one camera serves them all. The same functions
-prepare training batches and the two images of an estimate; all arrays lead with a batch of n pairs.
+Its images depend little on the real camera, so that one network serves all cameras. The same functions prepare training
+batches and the two images of an estimate. All arrays lead with a batch of n pairs.
 """
 
 from dataclasses import dataclass
@@ -11,28 +11,27 @@ from jaxtyping import Bool, Float, Float32, Real
 
 from reorient.errors import ReorientError
 from reorient.imaging.camera import Camera
+from reorient.imaging.splatting import splat
 
 SIZE_PX = 128
-FILL = 0.85  # where the object's outline lies, of the half width
-BEHIND = 0.15  # an object turns about a point this far behind the middle of its visible side, of the width of the view
+FILL = 0.85  # distance of the object's outline from the image centre, over the half width of the image
+BEHIND = 0.15  # depth of the guessed pivot behind the centroid of the visible surface, over the width of the view
 
 
 @dataclass(frozen=True)
 class VirtualCamera:
-    """n square cameras that share the real camera's centre."""
+    """n square cameras at the position of the real camera."""
 
     R_virtual_camera: Float[np.ndarray, "n 3 3"]
-    """Takes the real camera's axes to the virtual one's."""
+    """Rotation from the real camera's axes to the virtual camera's."""
     tangent: Float[np.ndarray, " n"]
-    """Half the width of the image, over the distance along the optical axis."""
+    """Tangent of half the field of view."""
 
     def view(self, depth: Real[np.ndarray, "n k h w"], camera: Camera) -> Float32[np.ndarray, "n k size size"]:
-        """Depth images of the real camera, k by k resampled (nearest neighbour) to each of these; any unit of depth."""
+        """k depth images a pair of the real camera, in any unit, resampled to the virtual one by nearest neighbour."""
         axis = ((np.arange(SIZE_PX) + 0.5) / (SIZE_PX / 2) - 1) * self.tangent[:, None]
         column, row = axis[:, None, :].astype(np.float32), axis[:, :, None].astype(np.float32)
-        R = self.R_virtual_camera.astype(np.float32)[
-            :, None, None
-        ]  # its rows are the virtual axes in the real camera's
+        R = self.R_virtual_camera.astype(np.float32)[:, None, None]  # rows: the virtual axes in the real camera's
         z = column * R[..., 0, 2] + (row * R[..., 1, 2] + R[..., 2, 2])
         per_z = 1 / z
         u = (column * R[..., 0, 0] + (row * R[..., 1, 0] + R[..., 2, 0])) * (per_z * np.float32(camera.fx))
@@ -45,19 +44,19 @@ class VirtualCamera:
         per_z[outside] = 0
         n, k, h, w = depth.shape
         start = np.arange(0, n * k * h * w, h * w).reshape(n, k, 1, 1)
-        return np.take(depth.reshape(-1), start + pixel[:, None], mode="clip") * per_z[:, None]
+        return np.asarray(np.take(depth.reshape(-1), start + pixel[:, None], mode="clip") * per_z[:, None])
 
     def to_camera(self, R_virtual: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3 3"]:
-        """Rotations of the object given in virtual axes, in the real camera's axes (conjugation)."""
-        return np.swapaxes(self.R_virtual_camera, 1, 2) @ R_virtual @ self.R_virtual_camera
+        """Rotations of the object from virtual to real camera axes, by conjugation."""
+        return np.asarray(np.swapaxes(self.R_virtual_camera, 1, 2) @ R_virtual @ self.R_virtual_camera)
 
     def from_camera(self, R_camera: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3 3"]:
-        """Rotations of the object given in the real camera's axes, in virtual axes."""
-        return self.R_virtual_camera @ R_camera @ np.swapaxes(self.R_virtual_camera, 1, 2)
+        """Rotations of the object from real to virtual camera axes, by conjugation."""
+        return np.asarray(self.R_virtual_camera @ R_camera @ np.swapaxes(self.R_virtual_camera, 1, 2))
 
 
 def outline(valid: Bool[np.ndarray, "n h w"], camera: Camera) -> Float[np.ndarray, "n 2 2"]:
-    """[(low, high)] of x / z and y / z over the returns: the box of pixels around them, as tangents.
+    """[(low, high)] of x / z and of y / z for the box of pixels around the returns.
 
     Raises ReorientError for an image without returns.
     """
@@ -76,10 +75,10 @@ def aim(
     target: Float[np.ndarray, "n 3"] | None = None,
     fill: Float[np.ndarray, " n"] | float = FILL,
 ) -> VirtualCamera:
-    """The cameras aimed at a target (else at the middle of the outline), whose outline fills this share of the view.
+    """The cameras that point at a target, zoomed so that the outline reaches the share ``fill`` of the half width.
 
-    ``target``: any point on the line of sight, camera axes; lengths do not matter. Raises ReorientError for a target
-    that is not in front of the camera, or from which part of the outline lies behind.
+    ``target``: any point on the line of sight, camera axes, of any length; default: the middle of the outline. Raises
+    ReorientError for a target behind the camera, and where part of the outline is behind the virtual camera.
     """
     if target is None:
         middle = outlines.mean(axis=2)
@@ -87,7 +86,7 @@ def aim(
     if not (np.all(np.isfinite(target)) and np.all(target[:, 2] > 0)):
         raise ReorientError(f"pivot {target[0]}: expected three finite numbers, metres, in front of the camera")
     z = target / np.linalg.norm(target, axis=1, keepdims=True)
-    # The turn of least angle that brings the optical axis to z, in closed form; its inverse has rows x, y, z.
+    # The rotation of least angle that takes the optical axis to z, in closed form; its inverse has rows x, y, z.
     a, b, c = z.T
     k = 1 / (1 + c)
     x = np.stack([1 - k * a * a, -k * a * b, -a], axis=1)
@@ -107,16 +106,18 @@ def aim(
 
 
 def join(first: Float[np.ndarray, "n 2 2"], second: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n 2 2"]:
-    """The outlines around both."""
+    """The outlines that hold both."""
     return np.stack([np.minimum(first[..., 0], second[..., 0]), np.maximum(first[..., 1], second[..., 1])], axis=-1)
 
 
 def network_input(
     pair: Float32[np.ndarray, "n 2 size size"], tangent: Float[np.ndarray, " n"]
 ) -> Float32[np.ndarray, "n 2 size size"]:
-    """Views of current and goal as a network sees them: relief over the width of the view, 1 at the mean depth of the
-    pair and larger where nearer; 0 where there is no return, as in the paper's images. Free of the unit, the distance
-    and the size."""
+    """Network input from the views of current and goal: relief over the width of the view, independent of the unit of
+    depth, of the distance and of the object's size.
+
+    1 at the mean depth of the pair, larger where nearer, 0 where there is no return (as in the paper's images).
+    """
     valid = pair > 0
     count = np.maximum(np.count_nonzero(valid, axis=(1, 2, 3)), 1)
     middle = pair.sum(axis=(1, 2, 3)) / count
@@ -126,16 +127,16 @@ def network_input(
     return np.where(valid, shift - pair * scale, np.float32(0))
 
 
-def turned(
+def rotated(
     depth_m: Float32[np.ndarray, "n size size"],
     tangent: Float[np.ndarray, " n"],
     R: Float[np.ndarray, "n 3 3"],
     from_m: Float[np.ndarray, "n 3"],
     to_m: Float[np.ndarray, "n 3"],
 ) -> Float32[np.ndarray, "n size size"]:
-    """Views as they would be if the seen surface turned by R about ``from_m``, which then lies at ``to_m``.
+    """Views of the visible surface after the motion x -> R (x - from_m) + to_m, in virtual camera axes, metres.
 
-    All in the virtual cameras' axes. What was hidden stays empty; where points fall together the nearest shows.
+    Surface that was hidden before the motion stays empty. Gaps one pixel wide are closed.
     """
     size = depth_m.shape[1]
     which, row, column = np.nonzero(depth_m)
@@ -147,23 +148,19 @@ def turned(
     moved = np.einsum("kij,kj->ki", R.astype(np.float32)[which], points) + shift[which]
     depth = moved[:, 2]
     with np.errstate(divide="ignore", invalid="ignore"):
-        u = moved[:, 0] / depth / unit + np.float32(size / 2)
-        v = moved[:, 1] / depth / unit + np.float32(size / 2)
-    kept = np.nonzero((depth > 0) & (u >= 0) & (u < size) & (v >= 0) & (v < size))[0]
-    kept = kept[np.argsort(-depth[kept])]  # the nearest is written last
-    out = np.zeros_like(depth_m)
-    out[which[kept], v[kept].astype(np.intp), u[kept].astype(np.intp)] = depth[kept]
+        uv_px = moved[:, :2] / depth[:, None] / unit[:, None] + np.float32(size / 2)
+    out = splat(uv_px, depth, depth_m.shape, which)
     for a, b in ((out[:, 1:-1, :-2], out[:, 1:-1, 2:]), (out[:, :-2, 1:-1], out[:, 2:, 1:-1])):
-        inner = out[:, 1:-1, 1:-1]  # a surface that comes nearer shows gaps a pixel wide: closed between two sides
+        inner = out[:, 1:-1, 1:-1]  # points of a surface that comes nearer lie more than a pixel apart
         gap = (inner == 0) & (a > 0) & (b > 0)
         inner[gap] = (a[gap] + b[gap]) / 2
     return out
 
 
-def turning_points(
+def pivot_guess(
     depth_m: Float32[np.ndarray, "n size size"], tangent: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Where the objects turn, guessed: somewhat behind the middle of their visible sides (virtual axes)."""
+    """Guessed rotation centres, virtual camera axes, metres: behind the centroid of the visible surface."""
     size = depth_m.shape[1]
     axis = ((np.arange(size) + 0.5) / (size / 2) - 1).astype(np.float32)
     count = np.maximum(np.count_nonzero(depth_m, axis=(1, 2)), 1)
@@ -178,8 +175,8 @@ def slide(
     goal_m: Float32[np.ndarray, "n size size"],
     tangent: Float[np.ndarray, " n"],
 ) -> Float[np.ndarray, "n 3"]:
-    """The shifts (metres, virtual axes) that bring views onto others: middle of the outlines, and median depth where
-    both see the object. None for a view without returns."""
+    """Translations, virtual camera axes, metres, that align views with goal views: by the middle of the outlines, and
+    by the median depth difference where both show the object. Zero where a view has no return."""
     shifts = np.zeros((len(seen_m), 3))
     for shift, seen, goal, wide in zip(shifts, seen_m, goal_m, tangent, strict=True):
         if not (seen.any() and goal.any()):

@@ -1,4 +1,4 @@
-"""Trained weights to ONNX: exact in float32, and compact for the package."""
+"""Export of trained weights to ONNX: exact in float32, or compact with float16 weights."""
 
 from pathlib import Path
 
@@ -10,15 +10,15 @@ from onnx import TensorProto, helper, numpy_helper
 from reorient.estimators.learned import SWIFT_ROUNDS
 from reorient.learning.network import build
 from reorient.learning.recipes import NetworkName
-from reorient.learning.training import HALF, load_weights
+from reorient.learning.weights import HALF, load_weights
 from reorient.runs.files import replacing
 
 
 def export(network: NetworkName, weights: Path, out: Path, compact: bool = False) -> None:
     """Write ``out`` (.onnx): images (n, 2, 128, 128) float32 in, quaternions (n, 4) out.
 
-    ``compact``: weights are stored as float16 and widened when loaded, the arithmetic stays float32. Raises
-    ReorientError for weights that do not fit the network.
+    ``compact``: weights are stored as float16 and converted when loaded; the arithmetic is float32. Raises
+    ReorientError for weights of another network.
     """
     model = build(network).eval()
     load_weights(model, weights)
@@ -29,7 +29,7 @@ def export(network: NetworkName, weights: Path, out: Path, compact: bool = False
         output_names=["quat_wxyz"],
         dynamic_shapes=({0: torch.export.Dim("n")},),
         dynamo=True,
-        optimize=False,  # batch norm stays a node of its own: training can begin with the file, and the runtime fuses
+        optimize=False,  # keeps batch norm as a node, so that a training can start from the file; the runtime fuses it
         verbose=False,
     )
     assert program is not None
@@ -43,7 +43,7 @@ def export(network: NetworkName, weights: Path, out: Path, compact: bool = False
 
 
 def _store_as_float16(proto: onnx.ModelProto) -> None:
-    """Large float32 initialisers become float16 with a cast behind each."""
+    """Convert large float32 initialisers to float16, each followed by a cast."""
     graph = proto.graph
     casts = []
     for tensor in graph.initializer:

@@ -7,22 +7,22 @@ from torch import Tensor
 
 Quaternions = Float[Tensor, "n 4"]
 
-AT_ONCE = 4  # objects whose vertices are matched together: more products do not fit the cache
+AT_ONCE = 4  # objects whose vertices are matched together; more products do not fit the cache
 
 
 def mean_loss(predicted_wxyz: Quaternions, true_wxyz: Quaternions) -> Float[Tensor, ""]:
-    """1 - <q, q_hat>, the paper's stand-in for the angle.
+    """1 - <q, q_hat>, the paper's substitute for the angle.
 
-    A pair's minimiser is that of arccos <q, q_hat>; over a data set it is another loss, since it grows with the square
-    of small angles. It tells q from -q and so draws predictions to q_r > 0.
+    For one pair its minimiser is that of arccos <q, q_hat>. Over a data set it is another loss, because it grows with
+    the square of small angles. It distinguishes q from -q, so predictions tend to q_r > 0.
     """
     return (1 - (predicted_wxyz * true_wxyz).sum(dim=1)).mean()
 
 
 def chord_loss(predicted_wxyz: Quaternions, true_wxyz: Quaternions) -> Float[Tensor, ""]:
-    """|q - q_hat|: half the angle where small, so that few large errors count less than in ``mean_loss``.
+    """|q - q_hat|: half the angle for small angles, so that large errors have less weight than in ``mean_loss``.
 
-    From the start it would hold predictions at "no rotation", the median of what is asked.
+    With untrained weights it keeps predictions at "no rotation", the median of the true rotations.
     """
     return (predicted_wxyz - true_wxyz).square().sum(dim=1).add(1e-8).sqrt().mean()
 
@@ -33,12 +33,12 @@ def shape_match_loss(
     vertices: Float[Tensor, "n v 3"],
     count: Int[Tensor, " n"],
 ) -> Float[Tensor, ""]:
-    """ShapeMatch: mean squared distance from the vertices turned by q_hat to the nearest turned by q, halved.
+    """ShapeMatch: half the mean squared distance from vertices rotated by q_hat to the nearest ones rotated by q.
 
-    ``vertices``: over the bounding radius (the paper names no unit); of each row the first ``count`` are the object's.
-    Which vertex is nearest is found without gradient; the distance to it has one.
+    ``vertices``: over the bounding radius (the paper gives no unit); the first ``count`` of each row are valid. The
+    nearest vertex is found without gradient; the distance to it has a gradient.
     """
-    # |a x1 - b x2| = |b^-1 a x1 - x2|: turn one cloud by the difference instead of both
+    # |a x1 - b x2| = |b^-1 a x1 - x2|: rotate one cloud by the difference instead of both
     difference = matrix_from_quat(true_wxyz).transpose(1, 2) @ matrix_from_quat(predicted_wxyz)
     moved = vertices @ difference.transpose(1, 2)
     present = torch.arange(vertices.shape[1], device=count.device) < count[:, None]
@@ -65,7 +65,7 @@ def matrix_from_quat(quat_wxyz: Quaternions) -> Float[Tensor, "n 3 3"]:
 
 
 def angle_deg(predicted_wxyz: Quaternions, true_wxyz: Quaternions) -> Float[Tensor, " n"]:
-    """Angle between the rotations, whichever sign the quaternions have."""
+    """Angle between the rotations in degrees, for any sign of the quaternions."""
     minus = (predicted_wxyz - true_wxyz).norm(dim=1)
     plus = (predicted_wxyz + true_wxyz).norm(dim=1)
     return torch.rad2deg(4 * torch.atan2(torch.minimum(minus, plus), torch.maximum(minus, plus)))

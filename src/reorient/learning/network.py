@@ -1,6 +1,6 @@
-"""The paper's siamese ResNet-9, and ours (torch). Both take ``virtual_camera.network_input`` and answer a quaternion.
+"""The paper's siamese ResNet-9 and the swift network, in torch: from ``virtual_camera.network_input`` to a quaternion.
 
-What the paper ("Training Details") leaves open, and how it is read here: the first convolution is 8 x 8 with stride 4
+Details that the paper ("Training Details") leaves open: the first convolution is 8 x 8 with stride 4
 (in place of ResNet's 7 x 7 with stride 2 and pooling, which cost three times as much for the same resolution), channels
 are 32, 64 and 64, and each further stage halves the resolution: 64 channels of 8 x 8 flatten to the stated 4096.
 """
@@ -25,7 +25,7 @@ def convolution(inputs: int, outputs: int, kernel: int, stride: int = 1, padding
 
 
 def near_identity(last: nn.Linear) -> nn.Linear:
-    """Answers begin near "no rotation": from anywhere else, training long stays with predicting nothing."""
+    """Initialise the last layer to predict almost "no rotation"; otherwise training stays at a constant for long."""
     with torch.no_grad():
         last.weight.mul_(0.1)
         last.bias.copy_(torch.tensor([1.0, 0.0, 0.0, 0.0]))
@@ -33,7 +33,7 @@ def near_identity(last: nn.Linear) -> nn.Linear:
 
 
 class Residual(nn.Module):
-    """Two convolutions beside an identity path, which has one of its own where the shape changes."""
+    """Two convolutions with an identity path, which has a convolution where the shape changes."""
 
     def __init__(self, inputs: int, outputs: int, stride: int = 1) -> None:
         super().__init__()
@@ -47,7 +47,7 @@ class Residual(nn.Module):
 
 
 class PaperNetwork(nn.Module):
-    """Five convolutions with batch norm an image, one of them on the identity path; then a head on both (Figure 2)."""
+    """Five convolutions with batch norm per image, one on the identity path; then a head on both images (Figure 2)."""
 
     def __init__(self, dropout: float) -> None:
         super().__init__()
@@ -71,16 +71,16 @@ class PaperNetwork(nn.Module):
         )
 
     def forward(self, images: Images) -> Quaternions:
-        """Unit quaternions that turn the first image's object into the second's (virtual camera axes)."""
-        both = self.embed(torch.cat([images[:, :1], images[:, 1:]]))  # one pass: batch norm sees both alike
+        """Unit quaternions of the rotation from the first image's object to the second's, virtual camera axes."""
+        both = self.embed(torch.cat([images[:, :1], images[:, 1:]]))  # one pass: the same batch norm for both
         n = images.shape[0]
         return F.normalize(self.head(torch.cat([both[:n], both[n:]], dim=1)).float(), dim=1)
 
 
 class SwiftNetwork(nn.Module):
-    """Both images at once: comparing them is the task, and early layers are where pixels still lie side by side.
+    """Both images as channels of one input, so that early layers can compare pixels at the same position.
 
-    4 x 4 patches become channels, so that no layer works at the full resolution.
+    4 x 4 patches become channels: no layer works at full resolution.
     """
 
     def __init__(self, dropout: float, channels: tuple[int, int, int] = (32, 64, 128)) -> None:
@@ -103,10 +103,10 @@ class SwiftNetwork(nn.Module):
         )
 
     def forward(self, images: Images) -> Quaternions:
-        """Unit quaternions that turn the first image's object into the second's (virtual camera axes)."""
+        """Unit quaternions of the rotation from the first image's object to the second's, virtual camera axes."""
         return F.normalize(self.features(images).float(), dim=1)
 
 
 def build(name: NetworkName, dropout: float = 0.0) -> nn.Module:
-    """A fresh network by name."""
+    """An untrained network by name."""
     return PaperNetwork(dropout) if name == "paper" else SwiftNetwork(dropout)

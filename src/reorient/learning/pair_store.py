@@ -1,14 +1,14 @@
-"""Pair sets on disk: generated in parallel, stored in chunks, read in shuffled batches (paper, "Dataset Generation").
+"""Pair sets on disk: generated in parallel, stored in chunks (paper, "Dataset Generation").
 
-A set is one Zarr v3 group, local or at any fsspec URL. Every chunk holds one object's pairs, so a split by object is a
-split by chunk; a shard of several chunks is written at once, its labels last, so that a shard with labels is whole.
-Each pair has a seed of its own: the same bytes whatever the number of workers, and wherever an interruption fell.
+A set is one Zarr v3 group, local or at any fsspec URL. Every chunk holds pairs of one object, so a split by object is a
+split by chunk. A shard of several chunks is written at once, its labels last, so a shard with labels is complete. Each
+pair has its own seed: the bytes do not depend on the number of workers, nor on interruptions.
 """
 
 import json
 import shutil
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -16,16 +16,13 @@ from typing import Any, cast
 
 import numpy as np
 import zarr
-from jaxtyping import Float, Int, UInt16
-from numpy.random import Generator
 from zarr.codecs import BloscCodec
 
 from reorient import so3
 from reorient.errors import ReorientError
-from reorient.imaging import Camera
 from reorient.runs.pool import Pool
 from reorient.world.meshes import MOST_VERTICES, some_vertices
-from reorient.world.objects import ObjectSource
+from reorient.world.objects import ObjectSet, ObjectSource
 from reorient.world.pairs import PairSet, sample_pair
 from reorient.world.rendering import Renderer, load_world
 from reorient.world.sensing import randomised
@@ -50,9 +47,6 @@ class Progress:
     total: int
 
 
-# --- writing --------------------------------------------------------------------------------------------------------
-
-
 def generate(config: PairSet, path: str | Path, pool: Pool | None = None) -> Iterator[Progress]:
     """Draw the set into ``path`` (a folder or an fsspec URL), yielding after every shard; finishes what is missing.
 
@@ -61,7 +55,7 @@ def generate(config: PairSet, path: str | Path, pool: Pool | None = None) -> Ite
     group = _create(config, str(path))
     shard = config.chunk * CHUNKS_A_SHARD
     total = cast(Any, group[WHOLE]).shape[0]
-    missing = [start for start in range(0, total, shard) if not _has_shard(group, start // shard)]
+    missing = [start for start in range(0, total, shard) if not has_shard(group, start // shard)]
     done = total - sum(min(shard, total - start) for start in missing)
     yield Progress(done, total)
     tasks = [(config, str(path), start, min(start + shard, total)) for start in missing]
@@ -113,24 +107,40 @@ def _codec() -> BloscCodec:
 
 
 def _create(config: PairSet, path: str) -> zarr.Group:
-    """The group with its arrays and vertices; kept where the same config made it."""
+    """The group with its arrays and vertices; an existing one if it has the same config."""
     described = json.loads(json.dumps(asdict(config), default=str))
+    existing = _existing(described, path)
+    if existing is not None:
+        return existing
+    objects = config.objects.open()
+    group = zarr.create_group(path, attributes={"config": described}, overwrite=True)
+    _create_arrays(group, config, len(objects.names))
+    _write_vertices(group, config, objects)
+    group.attrs["names"] = list(objects.names)
+    group.attrs["created"] = True
+    return group
+
+
+def _existing(described: dict[str, Any], path: str) -> zarr.Group | None:
+    """The group at this path if it is complete; None at an empty place or for a group without all of its arrays."""
     try:
         group = zarr.open_group(path, mode="r+")
     except (FileNotFoundError, KeyError, ValueError):
         group = None
-    if group is not None and "config" in group.attrs:
-        if group.attrs["config"] != described:
-            raise ReorientError(
-                f"{path!r} holds other pairs: expected an empty place, or the config {group.attrs['config']}"
-            )
-        if group.attrs.get("created"):
-            return group
-    elif "://" not in path and Path(path).exists() and any(Path(path).iterdir()):
-        raise ReorientError(f"{path!r} holds something else: expected an empty or a new place")
-    objects = config.objects.open()
-    n, camera = len(objects.names) * config.pairs_per_object, load_world(config.world).camera
-    group = zarr.create_group(path, attributes={"config": described}, overwrite=True)
+    if group is None or "config" not in group.attrs:
+        if "://" not in path and Path(path).exists() and any(Path(path).iterdir()):
+            raise ReorientError(f"{path!r} holds something else: expected an empty or a new place")
+        return None
+    if group.attrs["config"] != described:
+        raise ReorientError(
+            f"{path!r} holds other pairs: expected an empty place, or the config {group.attrs['config']}"
+        )
+    return group if group.attrs.get("created") else None
+
+
+def _create_arrays(group: zarr.Group, config: PairSet, objects: int) -> None:
+    """Empty arrays of the images and the labels of all pairs."""
+    n, camera = objects * config.pairs_per_object, load_world(config.world).camera
     image = (camera.height, camera.width)
     for name in ("current", "goal"):
         group.create_array(
@@ -139,6 +149,10 @@ def _create(config: PairSet, path: str) -> zarr.Group:
         )  # fmt: skip
     for name, (width, dtype) in (LABELS | {WHOLE: (4, "float64")}).items():
         group.create_array(name, shape=(n, width), dtype=dtype, chunks=(config.chunk * CHUNKS_A_SHARD, width))
+
+
+def _write_vertices(group: zarr.Group, config: PairSet, objects: ObjectSet) -> None:
+    """Some vertices of each object, for ShapeMatch."""
     vertices = np.zeros((len(objects.names), MOST_VERTICES, 3), np.float32)
     counts = np.zeros(len(objects.names), np.int32)
     for index, name in enumerate(objects.names):
@@ -147,13 +161,11 @@ def _create(config: PairSet, path: str) -> zarr.Group:
         vertices[index, : len(chosen)] = chosen
     group.create_array("vertices", data=vertices)
     group.create_array("vertex_count", data=counts)
-    group.attrs["names"] = list(objects.names)
-    group.attrs["created"] = True
-    return group
 
 
-def _has_shard(group: zarr.Group, shard: int) -> bool:
-    array = cast(zarr.Array, group[WHOLE])
+def has_shard(group: zarr.Group, shard: int) -> bool:
+    """Whether the shard of this index is complete."""
+    array = cast(Any, group[WHOLE])
     return bool(zarr.core.sync.sync((array.store_path / f"c/{shard}/0").exists()))
 
 
@@ -169,7 +181,7 @@ def _renderer(source: ObjectSource, name: str) -> Renderer:
 
 
 def _draw(config: PairSet, name: str, index: int, pair: int) -> dict[str, Any]:
-    """One pair as it is stored; ``images``: (2, h, w) in steps of the world's quantum."""
+    """One pair in the form that is stored; ``images``: (2, h, w), in steps of the world's quantum."""
     world = load_world(config.world)
     rng = np.random.default_rng([config.seed, index, pair])
     drawn = sample_pair(
@@ -198,76 +210,6 @@ def _write_shard(task: tuple[PairSet, str, int, int]) -> int:
     images = np.stack([pair["images"] for pair in drawn])
     for name, values in (("current", images[:, 0]), ("goal", images[:, 1])):
         cast(Any, group[name])[start:stop] = values
-    for name in (*LABELS, WHOLE):  # the labels last: they mark the shard as whole
+    for name in (*LABELS, WHOLE):  # the labels last: they mark the shard as complete
         cast(Any, group[name])[start:stop] = np.array([pair[name] for pair in drawn])
     return stop - start
-
-
-# --- reading --------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Batch:
-    """n pairs as the camera saw them."""
-
-    images: UInt16[np.ndarray, "n 2 h w"]
-    """Start and goal, in steps of the world's quantum."""
-    quat_wxyz: Float[np.ndarray, "n 4"]
-    """Of R_goal_current, camera axes."""
-    quat_start_wxyz: Float[np.ndarray, "n 4"]
-    pivot_m: Float[np.ndarray, "n 3"]
-    object_index: Int[np.ndarray, " n"]
-
-
-class PairReader:
-    """A set that ``generate`` has finished."""
-
-    def __init__(self, path: str | Path) -> None:
-        """Raises ReorientError where there is no finished set."""
-        try:
-            self._group = zarr.open_group(str(path), mode="r")
-            described = dict(cast(Any, self._group.attrs["config"]))
-            self.config = PairSet(ObjectSource.from_json(described.pop("objects")), **described)
-            self.names = tuple(cast(Any, self._group.attrs["names"]))
-        except (FileNotFoundError, KeyError, ValueError, TypeError) as error:
-            raise ReorientError(f"no pairs in {str(path)!r}: expected what `reorient generate` wrote") from error
-        self.camera: Camera = load_world(self.config.world).camera
-        total, shard = len(self.names) * self.config.pairs_per_object, self.config.chunk * CHUNKS_A_SHARD
-        missing = sum(not _has_shard(self._group, i) for i in range(-(-total // shard)))
-        if missing:
-            raise ReorientError(
-                f"{missing} shards of {str(path)!r} are missing: expected `reorient generate` to have ended"
-            )
-        self.quantum_m = load_world(self.config.world).quantum_m
-        self._labels = {name: cast(Any, self._group[name])[:] for name in ("quat_wxyz", "quat_start_wxyz", "pivot_m")}
-        self._current, self._goal = cast(Any, self._group["current"]), cast(Any, self._group["goal"])
-        self.vertices: Float[np.ndarray, "objects 500 3"] = cast(Any, self._group["vertices"])[:]
-        """Of each object, over its bounding radius; rows past ``vertex_count`` are zero."""
-        self.vertex_count: Int[np.ndarray, " objects"] = cast(Any, self._group["vertex_count"])[:]
-        self._chunks: dict[int, tuple[np.ndarray, np.ndarray]] = {}
-
-    def order(self, objects: Sequence[int], rng: Generator, window: int = 64) -> Int[np.ndarray, " pairs"]:
-        """All pairs of some objects once: chunks in random order, pairs shuffled within windows of this many chunks."""
-        per_object, chunk = self.config.pairs_per_object, self.config.chunk
-        starts = (np.asarray(objects)[:, None] * per_object + np.arange(0, per_object, chunk)).ravel()
-        starts = rng.permutation(starts)
-        windows = [starts[i : i + window] for i in range(0, len(starts), window)]
-        return np.concatenate([rng.permutation((w[:, None] + np.arange(chunk)).ravel()) for w in windows])
-
-    def read(self, pairs: Int[np.ndarray, " n"]) -> Batch:
-        """Some pairs by number. The last few hundred chunks stay in memory, so read in ``order``."""
-        chunk = self.config.chunk
-        images = np.empty((len(pairs), 2, self.camera.height, self.camera.width), np.uint16)
-        for row, pair in enumerate(pairs.tolist()):
-            current, goal = self._chunk(pair // chunk)
-            images[row, 0], images[row, 1] = current[pair % chunk], goal[pair % chunk]
-        labels = {name: values[pairs] for name, values in self._labels.items()}
-        return Batch(images, object_index=pairs // self.config.pairs_per_object, **labels)
-
-    def _chunk(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        if k not in self._chunks:
-            if len(self._chunks) >= 192:
-                self._chunks.pop(next(iter(self._chunks)))
-            rows = slice(k * self.config.chunk, (k + 1) * self.config.chunk)
-            self._chunks[k] = self._current[rows], self._goal[rows]
-        return self._chunks[k]

@@ -1,4 +1,4 @@
-"""How to train: the paper's recipe, ours, and a tiny one for tests (no torch here: the command line starts fast)."""
+"""Training recipes: the paper's, that of swift, and a tiny one for tests. No torch here: the CLI imports this file."""
 
 import math
 from dataclasses import dataclass
@@ -42,7 +42,7 @@ class Training:
     """Number of pairs of other objects that are measured after each epoch."""
     precision: Literal["bf16-mixed", "32-true"] = "bf16-mixed"
     """Precision: bf16-mixed computes products in bfloat16, 32-true everything in float32."""
-    turned: float = 0.0
+    rotated: float = 0.0
     """Share of pairs whose current image is rotated by a nearly correct estimate first, as in an iterated estimate."""
     noise: float = 0.0
     """Largest standard deviation of the depth noise added in training, relative to the width of the view."""
@@ -50,12 +50,12 @@ class Training:
     """Seed of the first weights, the order of the pairs and the augmentation."""
 
     def __post_init__(self) -> None:
-        """Raises ReorientError for what cannot be trained."""
+        """Raises ReorientError for values outside their range."""
         if min(self.epochs, self.batch, self.patience, self.validation_pairs) < 1 or self.seed < 0:
             raise ReorientError("expected at least one epoch, pair a step, epoch of patience and validation pair")
-        if not (0 <= self.turned <= 1 and 0 <= self.dropout < 1 and self.noise >= 0):
+        if not (0 <= self.rotated <= 1 and 0 <= self.dropout < 1 and self.noise >= 0):
             raise ReorientError(
-                f"turned={self.turned}, dropout={self.dropout}, noise={self.noise}: expected shares, no negative noise"
+                f"rotated={self.rotated}, dropout={self.dropout}, noise={self.noise}: expected shares, and noise >= 0"
             )
         if not (0 < self.lr < 1 and self.weight_decay >= 0):
             raise ReorientError(
@@ -75,7 +75,7 @@ PRESETS = {
         weight_decay=1e-5,
         dropout=0.1,
         patience=12,
-        turned=0.6,
+        rotated=0.6,
         noise=0.01,
     ),
     "debug": Training(epochs=2, batch=8, validation_pairs=16, precision="32-true"),
@@ -90,7 +90,7 @@ def load_preset(name: str) -> Training:
 
 
 def lr_at(config: Training, epoch: int, share: float) -> float:
-    """Learning rate in an epoch (from 0), of which this share is over."""
+    """Learning rate in an epoch (from 0), of which the share ``share`` is complete."""
     if config.schedule == "steps":
         return config.lr * 0.9 ** (epoch // 5)
     done = (epoch + share) / config.epochs

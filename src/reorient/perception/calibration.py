@@ -1,6 +1,6 @@
-"""Where the cell's cameras are: a depth camera and, beside it, a colour camera, both in the robot's base frame.
+"""Poses of the cell's cameras in the robot's base frame: a depth camera and, optionally, a colour camera.
 
-As JSON, pixel centres at +0.5, ``color`` only where there is such a camera:
+As JSON, pixel centres at +0.5, ``color`` optional:
 ``{"depth": {"camera": {"width": 1032, ...}, "T_world_camera": [4 rows]}, "color": {...}}``.
 """
 
@@ -21,11 +21,11 @@ from reorient.se3 import Transform
 
 @dataclass(frozen=True, eq=False)
 class MountedCamera:
-    """A camera and its place. Raises ReorientError for what is no rigid transform."""
+    """A camera and its pose. Raises ReorientError if the pose is no rigid transform."""
 
     camera: Camera
     T_world_camera: Transform
-    """Takes camera axes (x right, y down, z forward) to world axes, metres."""
+    """From camera axes (x right, y down, z forward) to world axes, metres."""
 
     def __post_init__(self) -> None:
         T = np.asarray(self.T_world_camera)
@@ -34,20 +34,20 @@ class MountedCamera:
 
     @property
     def T_camera_world(self) -> Transform:
-        """Takes world axes to camera axes."""
+        """From world axes to camera axes."""
         return se3.inverse(self.T_world_camera)
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """The cameras of a cell, as calibrated."""
+    """The calibrated cameras of a cell."""
 
     depth: MountedCamera
     color: MountedCamera | None = None
 
 
 def read_calibration(path: str | Path) -> Calibration:
-    """A calibration file. Raises ReorientError, naming what is missing or broken."""
+    """Read a calibration file. Raises ReorientError, naming the missing or invalid entry."""
     path = Path(path)
     if not path.is_file():
         raise ReorientError(f"no calibration file {str(path)!r}: expected JSON with 'depth' and perhaps 'color'")
@@ -66,7 +66,7 @@ def read_calibration(path: str | Path) -> Calibration:
 
 
 def write_calibration(path: str | Path, calibration: Calibration) -> None:
-    """Write what ``read_calibration`` reads."""
+    """Write a calibration file, in the format of ``read_calibration``."""
     cameras = {"depth": calibration.depth, "color": calibration.color}
     data = {
         name: {"camera": asdict(mounted.camera), "T_world_camera": mounted.T_world_camera.tolist()}

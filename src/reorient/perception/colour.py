@@ -1,4 +1,4 @@
-"""Colours as hue, saturation and value, and ranges of them."""
+"""Colours as hue, saturation and value; ranges and tables of colours."""
 
 from dataclasses import dataclass
 
@@ -8,13 +8,13 @@ from scipy import ndimage
 
 from reorient.errors import ReorientError
 
-_FEWEST = 200  # pixels to learn a range from
-_SHARE = 0.95  # of the pixels that a learned range holds, in hue and in saturation
-_GREY = 0.15  # below this median saturation hue is noise, and any will do
-_MORE = 0.05  # a learned range reaches this much further in saturation
-_BINS = 16  # of a table of colours, in each of red, green, blue
-_CLEARLY = 3.0  # times as common in a thing as in what surrounds it is its own
-_RAREST = 0.01  # of the density of a thing's commonest colour: what is rarer is not its own
+_FEWEST = 200  # pixels needed to learn a range
+_SHARE = 0.95  # of the pixels inside a learned range, in hue and in saturation
+_GREY = 0.15  # median saturation below which hue is noise and is not restricted
+_MORE = 0.05  # margin of a learned range in saturation
+_BINS = 16  # of a table of colours, per channel
+_CLEARLY = 3.0  # smallest ratio of the density of a colour in the object to that in its surroundings
+_RAREST = 0.01  # smallest density of a colour of the object, over that of its most common colour
 
 
 def hsv_from_rgb(rgb: UInt8[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
@@ -30,10 +30,10 @@ def hsv_from_rgb(rgb: UInt8[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
 
 @dataclass(frozen=True)
 class ColourRange:
-    """A box in hue, saturation and value. Raises ReorientError for limits that are none."""
+    """A box in hue, saturation and value. Raises ReorientError for invalid limits."""
 
     hue_deg: tuple[float, float] = (0.0, 360.0)
-    """From, to, eastwards: (350, 10) is around red."""
+    """From, to, in increasing hue; (350, 10) contains red."""
     saturation: tuple[float, float] = (0.0, 1.0)
     value: tuple[float, float] = (0.0, 1.0)
 
@@ -47,23 +47,18 @@ class ColourRange:
             )
 
     def contains(self, rgb: UInt8[np.ndarray, "*n 3"]) -> Bool[np.ndarray, "*n"]:
-        """Which colours lie in the range."""
+        """Whether each colour is in the range."""
         hue, saturation, value = np.moveaxis(hsv_from_rgb(rgb), -1, 0)
         low, high = self.hue_deg
         in_hue = (hue >= low) & (hue <= high) if low <= high else (hue >= low) | (hue <= high)
-        return (
-            in_hue
-            & (saturation >= self.saturation[0])
-            & (saturation <= self.saturation[1])
-            & (value >= self.value[0])
-            & (value <= self.value[1])
-        )
+        in_saturation = (saturation >= self.saturation[0]) & (saturation <= self.saturation[1])
+        return np.asarray(in_hue & in_saturation & (value >= self.value[0]) & (value <= self.value[1]))
 
     @classmethod
     def learned(cls, rgb: UInt8[np.ndarray, "n 3"]) -> "ColourRange":
-        """The range of nearly all of these colours: the shortest arc of hue, unless they are grey, and saturation.
+        """The range of 95% of these colours in hue (shortest arc; all hues for grey) and in saturation.
 
-        Value is left free, as it changes with the light. Raises ReorientError for too few.
+        Value is not restricted, because it changes with the light. Raises ReorientError for fewer than 200 pixels.
         """
         if len(rgb) < _FEWEST:
             raise ReorientError(f"{len(rgb)} pixels to learn a colour from: expected at least {_FEWEST} of the gripper")
@@ -76,30 +71,30 @@ class ColourRange:
 
 @dataclass(frozen=True, eq=False)
 class ColourTable:
-    """The colours that are one thing's rather than those of what surrounds it."""
+    """The colours that distinguish an object from its surroundings."""
 
     own: Bool[np.ndarray, "red green blue"]
-    """By bins of red, green and blue."""
+    """Whether each bin of red, green and blue is a colour of the object."""
 
     @classmethod
     def learned(cls, rgb: UInt8[np.ndarray, "n 3"], others: UInt8[np.ndarray, "m 3"]) -> "ColourTable":
-        """From pixels of the thing and of what surrounds it; light and shade between those seen count as well."""
+        """From pixels of the object and of its surroundings, by smoothed histograms."""
         density, other_density = (_density(pixels) for pixels in (rgb, others))
         return cls((density > _CLEARLY * other_density) & (density > _RAREST * density.max()))
 
     def contains(self, rgb: UInt8[np.ndarray, "*n 3"]) -> Bool[np.ndarray, "*n"]:
-        """Which colours are the thing's."""
-        return self.own[tuple(np.moveaxis(rgb // (256 // _BINS), -1, 0))]
+        """Whether each colour is one of the object."""
+        return np.asarray(self.own[tuple(np.moveaxis(rgb // (256 // _BINS), -1, 0))])
 
 
 def _density(rgb: UInt8[np.ndarray, "n 3"]) -> Float[np.ndarray, "red green blue"]:
-    """A smoothed histogram; all zero for no pixels."""
+    """A smoothed histogram; zero without pixels."""
     counts, _ = np.histogramdd(rgb, bins=_BINS, range=[(0, 256)] * 3)
-    return ndimage.gaussian_filter(counts / max(len(rgb), 1), 1.0, mode="constant")
+    return np.asarray(ndimage.gaussian_filter(counts / max(len(rgb), 1), 1.0, mode="constant"))
 
 
 def _shortest_arc(hue_deg: Float[np.ndarray, " n"]) -> tuple[float, float]:
-    """The shortest arc that holds the learned share of the hues."""
+    """The shortest arc with 95% of the hues."""
     hue = np.sort(hue_deg)
     count = int(np.ceil(_SHARE * len(hue)))
     ends = np.concatenate([hue, hue + 360])[count - 1 : count - 1 + len(hue)]

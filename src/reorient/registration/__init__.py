@@ -15,10 +15,11 @@ from reorient.registration.evidence import (
     warp_both,
 )
 from reorient.registration.gauss_newton import normal_equations, refine
-from reorient.registration.hypotheses import Hypotheses, non_maximum_suppression
+from reorient.registration.hypotheses import Hypotheses
 from reorient.registration.normals import fit_planes
 from reorient.registration.pivot import PivotPrior, pivot_prior
 from reorient.registration.problem import Observation, Problem
+from reorient.so3 import non_maximum_suppression
 
 __all__ = [
     "EVIDENCE_POINTS",

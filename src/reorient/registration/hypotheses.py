@@ -1,9 +1,9 @@
-"""Hypotheses: many rigid motions at once, and non-maximum suppression on SO(3)."""
+"""Hypotheses: many rigid motions at once."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,23 +53,3 @@ def rotate(
     if t_m is not None:
         x += t_m[:, :, None]
     return x
-
-
-def non_maximum_suppression(
-    R: Float[np.ndarray, "k 3 3"], score: Float[np.ndarray, " k"], radius_rad: float, most: int | None = None
-) -> Int[np.ndarray, " n"]:
-    """Indices of the rotations of the highest score, best first, that are farther apart than ``radius_rad``.
-
-    ``most``: at most so many; None: all.
-    """
-    order = np.argsort(-score, kind="stable")
-    flat = R.reshape(-1, 9)[order].astype(np.float32)
-    near = np.float32(1 + 2 * np.cos(radius_rad))  # of the trace
-    free = np.ones(len(order), bool)
-    chosen: list[int] = []
-    while len(chosen) < (len(order) if most is None else most) and free.any():
-        first = int(np.argmax(free))
-        chosen.append(first)
-        free &= flat @ flat[first] < near
-        free[first] = False
-    return order[chosen]

@@ -1,4 +1,4 @@
-"""The cell experiment: what its raw rows amount to, one page, and the arm turning an object as an animation."""
+"""The cell experiment: summaries of its raw rows, one page, and an animation of the arm rotating an object."""
 
 import base64
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from reorient.errors import ReorientError
 from reorient.experiments.cell import END
 from reorient.experiments.cell_trials import Experiment, close_loop, stage
 from reorient.perception.segmentation import object_mask
-from reorient.reporting.figures import error_by_image, errors_by_object, growing_curve
+from reorient.reporting.loop_figures import error_by_image, errors_by_object, growing_curve
 from reorient.reporting.page import inline_image, page
 from reorient.reporting.pictures import depth_range, montage, png_data_uri, shade, show_mask, write_gif
 from reorient.reporting.rows import read_table
@@ -28,34 +28,34 @@ from reorient.runs.files import replacing
 PAPER_DEG = 4.2  # median of the paper's 50 physical trials
 _PAPER = "paper's physical cell, 4.2° (other objects)"
 _PANEL_PX, _FRAME_MS, _LAST_FRAME_MS = 300, 220, 2500
-_SHOWN = 6  # images of the showcase
+_SHOWN = 6  # images of the shown loop
 _WAYS = {
     "shape": "by the gripper's shape",
-    "shape_coloured": "by the gripper's shape, filled in by the object's colour",
-    "colour": "by the gripper's colour (HSV), filled in by the object's",
+    "shape_coloured": "by the gripper's shape, filled by the object's colour",
+    "colour": "by the gripper's colour (HSV), filled by the object's colour",
 }
 _MASKS = (
-    "The object in the last image of that loop, as each segmentation tells it: green where the depth camera returned "
-    "something, orange where it did not; black: no return that is taken for the object's."
+    "The object in the last image of that loop by each segmentation. Green: with a return of the depth camera; orange: "
+    "without; black: pixels without a return that are not part of the object."
 )
 
 
 @dataclass(frozen=True)
 class Loop:
-    """One trial of one system, from the raw rows. Angles in degrees."""
+    """One trial of one system from the raw rows. Angles in degrees."""
 
     object: str
     trial: int
     range_deg: tuple[float, float]
     system: str
     errors_deg: tuple[float, ...]
-    """The true error at each image and, last, at the end; empty where the trial could not be set up."""
+    """The true error at each image and, last, at the end; empty if the trial could not be set up."""
     moves: int
     reason: str
 
 
 def read_loops(folder: Path) -> list[Loop]:
-    """The loops of a run folder. Raises ReorientError where there are none."""
+    """The loops of a run folder. Raises ReorientError if there are none."""
     keys = ("object", "trial", "low_deg", "high_deg", "estimator", "strategy")
     needed = (*keys, "image", "error_deg", "moves", "reason")
     loops = []
@@ -88,7 +88,7 @@ HEADINGS = (
 
 
 def summary(loops: Sequence[Loop]) -> list[list[str]]:
-    """One line of cells, as in HEADINGS, for each range and system."""
+    """The cells of one line, as in HEADINGS, for each range and system."""
     lines = []
     for limits, system in dict.fromkeys((loop.range_deg, loop.system) for loop in loops):
         mine = [loop for loop in loops if (loop.range_deg, loop.system) == (limits, system) and loop.errors_deg]
@@ -115,29 +115,29 @@ def summary(loops: Sequence[Loop]) -> list[list[str]]:
 
 
 def mask_summary(folder: Path) -> list[str]:
-    """What the masks amount to, in sentences."""
+    """Accuracy of the masks, in sentences."""
     rows = (
         read_table(folder / "masks.csv.gz", ["iou_shape", "iou_shape_all"])
         if (folder / "masks.csv.gz").is_file()
         else []
     )
-    said = []
+    sentences = []
     for name, words in _WAYS.items():
         column = f"iou_{name}"
         values = np.array([float(row[column]) for row in rows if row.get(column)])
         every = np.array([float(row[f"{column}_all"]) for row in rows if row.get(column)])
         if len(values):
-            said.append(
+            sentences.append(
                 f"Masks {words}: IoU median {np.median(values):.3f}, p10 {np.percentile(values, 10):.3f} over the "
-                f"{len(values)} goal and start images, of the pixels that returned and whose ray hits the object; "
-                f"of all pixels whose ray hits it, returned by the sensor or not, median {np.median(every):.3f}, "
+                f"{len(values)} goal and start images, over pixels with a return; over all pixels, with or without a "
+                f"return, median {np.median(every):.3f}, "
                 f"p10 {np.percentile(every, 10):.3f}."
             )
-    return said
+    return sentences
 
 
 def print_summary(folder: Path) -> None:
-    """The table and the masks on the screen."""
+    """Print the table and the accuracy of the masks."""
     loops = read_loops(folder)
     table = Table(header_style="bold")
     for index, heading in enumerate(HEADINGS):
@@ -151,7 +151,7 @@ def print_summary(folder: Path) -> None:
 
 
 def write_cell_report(config: Experiment, folder: Path) -> tuple[Path, Path]:
-    """Write ``report.html`` and ``cell.gif`` into a run folder; returns both paths. Runs one trial again to show it."""
+    """Write ``report.html`` and ``cell.gif`` into a run folder; returns both paths. Repeats one trial to show it."""
     loops = read_loops(folder)
     staged = [loop for loop in loops if loop.errors_deg]
     if not staged:
@@ -176,7 +176,7 @@ def write_cell_report(config: Experiment, folder: Path) -> tuple[Path, Path]:
         for r in limits
     }
     short = [name.rsplit("_", 1)[0].split("__")[-1] for name in names]
-    # of the first trial the system with most moves, which shows most
+    # of the first trial the system with most moves
     first = [loop for loop in staged if (loop.object, loop.trial, loop.range_deg) == _trial(staged[0])]
     shown = max(first, key=lambda loop: loop.moves)
     gif, images, masks = _show(config, shown, folder)
@@ -186,20 +186,20 @@ def write_cell_report(config: Experiment, folder: Path) -> tuple[Path, Path]:
         "Final errors": _html_table(HEADINGS, summary(loops)) + notes,
         "Error against iteration": inline_image(error_by_image(by_image, PAPER_DEG, _PAPER), "error at each image"),
         "Final errors by object": inline_image(
-            errors_by_object(by_object, short, PAPER_DEG, _PAPER), "the last error of each trial, by object"
+            errors_by_object(by_object, short, PAPER_DEG, _PAPER), "final error of each trial by object"
         ),
         "Images at intermediate iterations": inline_image(images, "goal and images of one loop", dark=True),
         "Masks": inline_image(masks, "the object in the last image, by each segmentation", _MASKS, dark=True)
         if masks
-        else "<p>The object is not to be seen at the end of that loop.</p>",
-        "The arm": inline_image(animation, "the arm turns the object to its goal", _caption(shown), dark=True),
+        else "<p>The object is not visible at the end of that loop.</p>",
+        "The arm": inline_image(animation, "the arm rotates the object to its goal", _caption(shown), dark=True),
     }
     html = folder / "report.html"
     lead = (
         f"{len(names)} objects, {len({_trial(loop) for loop in staged})} trials, in a simulated cell: a YuMi arm with "
-        "servo errors and backlash, a structured-light depth camera and a colour camera, both calibrated a little off. "
-        f"Depth noise {config.noise_mm:g} mm, the gripper removed by its {config.segmentation}. Errors by true forward "
-        "kinematics."
+        "servo errors and backlash, a structured-light depth camera and a colour camera, both with calibration errors. "
+        f"Depth noise {config.noise_mm:g} mm; the gripper is removed by its {config.segmentation}. Errors from the "
+        "true state."
     )
     with replacing(html) as temporary:
         temporary.write_text(page("Orienting held objects in a simulated cell", lead, sections), encoding="utf-8")
@@ -207,7 +207,7 @@ def write_cell_report(config: Experiment, folder: Path) -> tuple[Path, Path]:
 
 
 def _show(config: Experiment, loop: Loop, folder: Path) -> tuple[Path, str, str]:
-    """Run a loop again; its animation, and as data URIs a row of its images and the masks after its end."""
+    """Repeat a loop; its animation, and as data URIs a row of its images and the masks after its end."""
     from reorient.stations.cell.scene import observer
 
     staged = stage(config, loop.object, loop.trial, loop.range_deg)
@@ -237,7 +237,7 @@ def _show(config: Experiment, loop: Loop, folder: Path) -> tuple[Path, str, str]
 
 
 def _masks(cell: Any) -> str:
-    """The object as each segmentation tells it now, as a data URI; empty where none finds it."""
+    """The present masks of the object by each segmentation, as a data URI; empty if none finds the object."""
     frame = cell.frame(colour="colour" in cell.segmentations)
     pictures = {}
     for name, segmentation in cell.segmentations.items():
@@ -258,14 +258,14 @@ def _range(limits: tuple[float, float]) -> str:
 def _caption(loop: Loop) -> str:
     return (
         f"<b>{escape(loop.object)}</b>, trial {loop.trial}, {escape(loop.system)}: from {loop.errors_deg[0]:.1f} to "
-        f"{loop.errors_deg[-1]:.2f} degrees in {loop.moves} moves. Ended because: {escape(loop.reason)}."
+        f"{loop.errors_deg[-1]:.2f} degrees in {loop.moves} moves. {escape(loop.reason)}."
     )
 
 
 def _not_staged(loops: Sequence[Loop]) -> list[str]:
     missing = {_trial(loop): loop.reason for loop in loops if not loop.errors_deg}
     return (
-        [f"Left out, {len(missing)} trials that could not be set up: {next(iter(missing.values()))}"] if missing else []
+        [f"Excluded: {len(missing)} trials that could not be set up: {next(iter(missing.values()))}"] if missing else []
     )
 
 

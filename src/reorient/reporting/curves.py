@@ -1,4 +1,4 @@
-"""Figures of an experiment: an error against something that is varied, and how the errors are spread."""
+"""Figures of an experiment: an error against a varied parameter, and the distribution of errors."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -11,13 +11,13 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from reorient.reporting.figures import PAGE_INCHES, REFERENCE, STYLE, colours_of, legend
+from reorient.reporting.style import PAGE_INCHES, REFERENCE, STYLE, colours_of, legend
 from reorient.runs.files import replacing
 
 
 @dataclass(frozen=True)
 class Curve:
-    """A line and the band of its intervals."""
+    """A line and its interval band."""
 
     x: Float[np.ndarray, " n"]
     y: Float[np.ndarray, " n"]
@@ -27,21 +27,21 @@ class Curve:
 
 @dataclass(frozen=True)
 class Panel:
-    """Some lines over one pair of axes."""
+    """Several lines on one pair of axes."""
 
     title: str
     lines: Mapping[str, Curve]
-    """By estimator."""
+    """Curves by estimator."""
     ylabel: str
     unit: str = "°"
-    """Of the ticks along y."""
+    """Unit of the tick labels along y."""
     logarithmic: bool = True
     levels: Mapping[str, float] = field(default_factory=dict)
-    """Dotted lines to compare with, by what they are."""
+    """Reference levels, drawn as dotted lines, by label."""
 
 
 def curves(panels: Sequence[Panel], xlabel: str) -> Figure:
-    """Panels side by side; those of one kind share their y axis."""
+    """Panels side by side, with a common y axis if all show the same quantity."""
     colours = colours_of(dict.fromkeys(name for panel in panels for name in panel.lines))
     alike = len({(panel.ylabel, panel.logarithmic) for panel in panels}) == 1
     with mpl.rc_context(STYLE):
@@ -61,8 +61,8 @@ def curves(panels: Sequence[Panel], xlabel: str) -> Figure:
             axes.yaxis.set_major_formatter(_ticks(panel.unit))
             if axes is grid[0] or not alike:
                 axes.set_ylabel(panel.ylabel)
-        levels = dict.fromkeys(said for panel in panels for said in panel.levels)
-        legend(figure, colours, [Line2D([], [], color=REFERENCE, lw=1.1, ls=":", label=said) for said in levels])
+        levels = dict.fromkeys(label for panel in panels for label in panel.levels)
+        legend(figure, colours, [Line2D([], [], color=REFERENCE, lw=1.1, ls=":", label=label) for label in levels])
     return figure
 
 
@@ -73,9 +73,9 @@ def _ticks(unit: str) -> FuncFormatter:
 def histograms(
     panels: Mapping[str, Mapping[str, Sequence[float]]], edges: Float[np.ndarray, " n"], xlabel: str, unit: str = "°"
 ) -> Figure:
-    """Shares in bins, one row an estimator, so that none hides another; the last bin also holds all larger values.
+    """Shares in bins, one row per estimator; the last bin contains all larger values.
 
-    ``panels``: by title (a column each) and estimator.
+    ``panels``: values by title (one column each) and estimator.
     """
     names = list(dict.fromkeys(name for panel in panels.values() for name in panel))
     colours = colours_of(names)
@@ -92,14 +92,14 @@ def histograms(
                 axes.set(xlim=(edges[0], edges[-1]), yticks=[])
                 axes.spines["left"].set_visible(False)
                 if len(values):
-                    said = f"{name}: median {np.median(values):.3g}{unit}, last bin {part[-1]:.0%}"
-                    axes.annotate(said, (0.99, 0.92), xycoords="axes fraction", ha="right", va="top", size=8.5)
+                    text = f"{name}: median {np.median(values):.3g}{unit}, last bin {part[-1]:.0%}"
+                    axes.annotate(text, (0.99, 0.92), xycoords="axes fraction", ha="right", va="top", size=8.5)
             column[-1].set_xlabel(xlabel)
             column[-1].xaxis.set_major_formatter(_ticks(unit))
     return figure
 
 
 def write_png(figure: Figure, path: Path) -> None:
-    """The figure as a picture, 160 pixels an inch."""
+    """Write the figure as PNG, 160 pixels per inch."""
     with replacing(path) as temporary:
         figure.savefig(temporary, format="png", dpi=160, metadata={"Software": None})

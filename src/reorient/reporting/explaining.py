@@ -9,6 +9,7 @@ from PIL import Image, ImageDraw, ImageFont
 from reorient.estimators.base import RotationEstimate
 from reorient.formatting import format_share
 from reorient.imaging import Camera, DepthImage
+from reorient.imaging.splatting import splat
 from reorient.registration import (
     EVIDENCE_POINTS,
     DepthView,
@@ -73,7 +74,7 @@ def picture(current: DepthImage, goal: DepthImage, estimate: RotationEstimate, s
 
     The points have the colours of their classes; the legend has the shares of the estimate's evidence.
     """
-    moved = _splat(current.points() @ estimate.R_goal_current.T + estimate.t_goal_current_m, goal)
+    moved = _moved(current.points() @ estimate.R_goal_current.T + estimate.t_goal_current_m, goal)
     windows = framed([current, goal, moved])
     range_m = depth_range(windows)
     panels = [shade(image, size_px, range_m) for image in windows]
@@ -92,15 +93,11 @@ def _classes(warped: Warped, tolerance_m: float) -> Int[np.ndarray, " n"]:
     )
 
 
-def _splat(points_m: Float[np.ndarray, "n 3"], goal: DepthImage) -> DepthImage:
-    """Points as the goal's camera sees them, the nearest of each pixel; small holes between them are closed."""
-    depth_m: np.ndarray = np.full(goal.depth_m.shape, np.inf)
-    pixel = _pixels(goal.camera, points_m).astype(int)
-    for row, column in ((0, 0), (0, 1), (1, 0), (1, 1)):  # a point covers its pixel and the next
-        u, v = pixel[:, 0] + column, pixel[:, 1] + row
-        inside = (u >= 0) & (u < depth_m.shape[1]) & (v >= 0) & (v < depth_m.shape[0])
-        np.minimum.at(depth_m, (v[inside], u[inside]), points_m[inside, 2])
-    depth_m[np.isinf(depth_m)] = 0
+def _moved(points_m: Float[np.ndarray, "n 3"], goal: DepthImage) -> DepthImage:
+    """Depth of points in the goal's camera. A point covers its pixel and the next ones, which closes small holes."""
+    corner_px = np.floor(goal.camera.project(points_m))
+    uv_px = np.concatenate([corner_px + offset for offset in ((0, 0), (1, 0), (0, 1), (1, 1))])
+    depth_m = splat(uv_px, np.tile(points_m[:, 2], 4), goal.depth_m.shape)
     return DepthImage(depth_m if depth_m.any() else goal.depth_m, goal.camera)
 
 

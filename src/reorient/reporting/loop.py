@@ -12,7 +12,7 @@ from reorient.errors import ReorientError
 from reorient.formatting import format_number, format_share
 from reorient.imaging import DepthImage
 from reorient.registration.evidence import Evidence
-from reorient.reporting.figures import growing_curve, loop_curve
+from reorient.reporting.loop_figures import growing_curve, loop_curve
 from reorient.reporting.page import inline_image, page
 from reorient.reporting.pictures import depth_range, framed, montage, png_data_uri, shade, write_gif
 from reorient.runs.files import replacing

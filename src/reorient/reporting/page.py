@@ -1,4 +1,4 @@
-"""The shell of every page: one HTML file that loads nothing from elsewhere."""
+"""The frame of every page: one HTML file without external resources."""
 
 from html import escape
 
@@ -35,7 +35,7 @@ pre { margin: 0; font: 12.5px/1.5 ui-monospace, Menlo, Consolas, monospace;
 
 
 def page(title: str, lead: str, sections: dict[str, str]) -> str:
-    """A whole HTML document; title, lead and headings are text, the sections' bodies are HTML."""
+    """A complete HTML document; title, lead and headings are text, the bodies of the sections HTML."""
     body = "".join(f"<section><h2>{escape(heading)}</h2>{content}</section>\n" for heading, content in sections.items())
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
@@ -46,7 +46,7 @@ def page(title: str, lead: str, sections: dict[str, str]) -> str:
 
 
 def inline_image(data_uri: str, alt: str, caption: str = "", dark: bool = False) -> str:
-    """A figure whose image is its own address. ``alt`` is text, ``caption`` HTML; dark: a picture, not a chart."""
+    """A figure with an embedded image. ``alt`` is text, ``caption`` HTML; ``dark``: for pictures, not charts."""
     below = f"<figcaption>{caption}</figcaption>" if caption else ""
     kind = ' class="dark"' if dark else ""
     return f'<figure{kind}><img src="{data_uri}" alt="{escape(alt)}">{below}</figure>'

@@ -1,4 +1,4 @@
-"""Depth images and meshes as pictures fit to be looked at: shading, montages, GIFs, inline PNGs."""
+"""Pictures of depth images and meshes: shading, montages, GIFs, inline PNGs."""
 
 import base64
 import io
@@ -24,16 +24,16 @@ INK = (214, 218, 226)
 _TINTS = np.array([(255, 226, 178), (244, 176, 132), (196, 132, 150), (112, 118, 176), (62, 92, 150)], float)
 # unit vectors towards the lights, camera axes
 _KEY, _FILL = (np.array(v) / np.linalg.norm(v) for v in ([-0.55, -0.75, -0.75], [0.9, 0.15, -0.5]))
-_OUTLINE_PX = 0.6  # still keeps bars one pixel wide
+_OUTLINE_PX = 0.6  # small enough to keep bars one pixel wide
 _COLOURS = 128  # of a GIF
 SUFFIXES = (".png", ".jpg", ".jpeg")
 _RETURNED, _FILLED = np.array([80, 200, 120]), np.array([250, 170, 30])
 
 
 def shade(image: DepthImage, size_px: int = 256, range_m: tuple[float, float] | None = None) -> Image.Image:
-    """A lit view of a depth image, centred on a square of ``size_px``: warm is near, cold is far, dark is no return.
+    """A shaded view of a depth image, centred on a square of ``size_px``: warm near, cold far, dark without return.
 
-    ``range_m``: depths of the warmest and the coldest tint, so that pictures can be compared; None: the image's own.
+    ``range_m``: depths of the warmest and the coldest tint, to make pictures comparable; None: those of the image.
     """
     near_m, far_m = depth_range([image]) if range_m is None else range_m
     valid = image.valid
@@ -41,14 +41,14 @@ def shade(image: DepthImage, size_px: int = 256, range_m: tuple[float, float] | 
     tint = np.stack([np.interp(share, np.arange(len(_TINTS)), channel) for channel in _TINTS.T], axis=-1)
     colours = np.zeros((*valid.shape, 3))
     colours[valid] = np.clip(tint * _light(image)[:, None], 0, 255)
-    # beyond the outline the nearest colour goes on, so that enlarging blends no dark fringe into the object
+    # colours are extended beyond the outline, so that enlarging blends no dark fringe into the object
     nearest = ndimage.distance_transform_edt(~valid, return_distances=False, return_indices=True)
     colours = colours[tuple(nearest)]
 
     scale = size_px / max(valid.shape)
     size = tuple(max(round(n * scale), 1) for n in valid.shape[::-1])
     object_rgb = Image.fromarray(colours.astype(np.uint8)).resize(size, Image.Resampling.BICUBIC)
-    # smoothed before it is enlarged, the outline loses its stairs
+    # smoothed before it is enlarged, so that the outline has no steps
     smooth = ndimage.gaussian_filter(valid.astype(float), _OUTLINE_PX)
     cover = Image.fromarray((255 * smooth).astype(np.uint8)).resize(size, Image.Resampling.BICUBIC)
     sharpness = max(scale, 1.0)  # an enlarged outline blurs over ``scale`` pixels
@@ -59,10 +59,7 @@ def shade(image: DepthImage, size_px: int = 256, range_m: tuple[float, float] | 
 
 
 def show_mask(image: DepthImage, mask: Bool[np.ndarray, "height width"], size_px: int = 256) -> Image.Image:
-    """A scene, the nearer the brighter, with the mask on it: green where there is a return, orange where there is none.
-
-    Cropped to a square around the mask.
-    """
+    """A scene (bright near, dark far) with a mask: green with a return, orange without; cropped around the mask."""
     near_m, far_m = depth_range([image])
     grey = np.where(image.valid, 170 - 120 * np.clip((image.depth_m - near_m) / max(far_m - near_m, 1e-9), 0, 1), 0)
     picture = np.repeat(grey[..., None], 3, axis=2)
@@ -79,7 +76,7 @@ def show_mask(image: DepthImage, mask: Bool[np.ndarray, "height width"], size_px
 def shade_mesh(
     mesh: trimesh.Trimesh, R_camera_object: Float[np.ndarray, "3 3"] | None = None, size_px: int = 256
 ) -> Image.Image:
-    """The same view of an exact render of a mesh, in the benchmark world; None: seen obliquely from above, z up."""
+    """A shaded view of a mesh, rendered exactly in the benchmark world; default: obliquely from above, z up."""
     if R_camera_object is None:
         R_camera_object = so3.exp(np.radians([118.0, 0.0, 0.0])) @ so3.exp(np.radians([0.0, 0.0, -125.0]))
     renderer = Renderer(mesh)
@@ -93,14 +90,14 @@ def shade_mesh(
 
 
 def depth_range(images: Sequence[DepthImage]) -> tuple[float, float]:
-    """Nearest and farthest depth (metres) of several images, without the last percent either way."""
+    """Nearest and farthest depth of several images, metres: the 1st and the 99th percentile."""
     depths = np.concatenate([image.depth_m[image.valid] for image in images])
     near_m, far_m = np.percentile(depths, [1, 99])
     return float(near_m), float(far_m)
 
 
 def framed(images: Sequence[DepthImage], margin: float = 0.08) -> list[DepthImage]:
-    """The images cropped to one square window around all returns, one for each camera that took some of them."""
+    """The images cropped to one square window per camera, around the returns of all its images."""
     windows = {}
     for camera in {image.camera for image in images}:
         seen = np.any([image.valid for image in images if image.camera == camera], axis=0)
@@ -112,7 +109,7 @@ def framed(images: Sequence[DepthImage], margin: float = 0.08) -> list[DepthImag
 
 
 def montage(pictures: Sequence[Image.Image], columns: int, labels: Sequence[str] | None = None) -> Image.Image:
-    """Equally large pictures side by side, row by row, each with its label above it."""
+    """Pictures of equal size in rows, each with its label above it."""
     if not pictures or columns < 1 or (labels is not None and len(labels) != len(pictures)):
         raise ReorientError(
             f"{len(pictures)} pictures, {columns} columns, {len(labels or ())} labels: expected at least one picture "
@@ -136,12 +133,14 @@ def montage(pictures: Sequence[Image.Image], columns: int, labels: Sequence[str]
 
 
 def write_gif(path: str | Path, frames: Sequence[Image.Image], frame_ms: int, last_frame_ms: int) -> None:
-    """A looped GIF in one palette for all frames; the last one stands for ``last_frame_ms``."""
+    """Write a looped GIF with one palette for all frames; the last frame is shown for ``last_frame_ms``."""
     if not frames:
         raise ReorientError("a GIF of no frames: expected at least one")
-    # the palette must serve first, middle and last alike; dithering would flicker and not compress
+    # one palette for first, middle and last frames; dithering would flicker and compress badly
     sample = montage([frames[len(frames) * i // 5] for i in range(5)] + [frames[-1]], columns=3)
-    palette = sample.quantize(_COLOURS, Image.Quantize.MEDIANCUT, kmeans=2)  # else thin bright lines lose their hue
+    palette = sample.quantize(
+        _COLOURS, Image.Quantize.MEDIANCUT, kmeans=2
+    )  # without k-means thin bright lines lose their hue
     first, *rest = (frame.convert("RGB").quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
     durations = [frame_ms] * len(rest) + [last_frame_ms]
     with replacing(path) as temporary:
@@ -149,20 +148,20 @@ def write_gif(path: str | Path, frames: Sequence[Image.Image], frame_ms: int, la
 
 
 def check_suffix(path: Path) -> None:
-    """Raise ReorientError for a file that a picture cannot be written to, best before there is one to write."""
+    """Raise ReorientError for a file name that is no picture's."""
     if path.suffix.lower() not in SUFFIXES:
         raise ReorientError(f"cannot write a picture as {path.name!r}: expected one of {', '.join(SUFFIXES)}")
 
 
 def png_data_uri(picture: Image.Image) -> str:
-    """The picture as an address that an HTML page can carry within itself."""
+    """The picture as a PNG data URI."""
     buffer = io.BytesIO()
     picture.save(buffer, "PNG", optimize=True)
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
 
 
 def text_mask(text: str, size: tuple[int, int], text_px: int) -> Image.Image:
-    """A mask with the text in its middle, drawn large and shrunk: small type set directly has uneven gaps."""
+    """A mask with centred text, drawn large and reduced, because small type has uneven gaps."""
     width, height = (4 * n for n in size)
     mask = Image.new("L", (width, height))
     font = ImageFont.load_default(4 * text_px)
@@ -179,4 +178,4 @@ def _light(image: DepthImage) -> Float[np.ndarray, " n"]:
     halfway /= np.linalg.norm(halfway, axis=1, keepdims=True)
     key, fill = np.maximum(normals @ _KEY, 0), np.maximum(normals @ _FILL, 0)
     gleam = np.maximum(np.sum(normals * halfway, axis=1), 0) ** 24
-    return 0.24 + 0.68 * key + 0.2 * fill + 0.14 * gleam
+    return np.asarray(0.24 + 0.68 * key + 0.2 * fill + 0.14 * gleam)

@@ -1,4 +1,4 @@
-"""The raw rows of an evaluation, and what they amount to: always from the rows, never averages of averages."""
+"""The raw rows of an evaluation and their summaries, always computed from all rows (no averages of averages)."""
 
 import csv
 import gzip
@@ -31,7 +31,7 @@ class Summary:
     low_deg: float
     high_deg: float
     n: int
-    """Pairs; one that the estimator refused counts as answered "no rotation"."""
+    """Number of pairs; one that the estimator refused counts as the estimate "no rotation"."""
     mean_deg: float
     median_deg: float
     rms_deg: float
@@ -54,7 +54,7 @@ def read_rows(folder: str | Path) -> list[Row]:
 
 
 def read_table(file: Path, columns: Sequence[str]) -> list[Row]:
-    """The rows of a table as ``write_table`` writes it. Raises ReorientError as ``read_rows``."""
+    """The rows of a table written by ``write_table``. Raises ReorientError as ``read_rows``."""
     if not file.is_file():
         raise ReorientError(f"no {str(file)!r}: expected config.json and {file.name} of a run")
     try:
@@ -76,7 +76,7 @@ def read_table(file: Path, columns: Sequence[str]) -> list[Row]:
 
 
 def numbers(rows: Sequence[Row], column: str) -> Float[np.ndarray, " n"]:
-    """One column as numbers. Raises ReorientError, naming the row, for a cell that holds no finite one."""
+    """One column as numbers. Raises ReorientError, naming the row, for a cell without a finite number."""
     values = np.empty(len(rows))
     for index, row in enumerate(rows):
         try:
@@ -92,14 +92,14 @@ def numbers(rows: Sequence[Row], column: str) -> Float[np.ndarray, " n"]:
 
 
 def estimators(rows: Sequence[Row]) -> list[str]:
-    """The estimators by name, in the order in which the rows bring them."""
+    """Names of the estimators in order of first appearance."""
     return list(dict.fromkeys(row["estimator"] for row in rows))
 
 
 def summarise(rows: Sequence[Row], error: str = "error_deg") -> list[Summary]:
     """One summary for each cell and estimator, sorted by noise, range and first appearance of the estimator.
 
-    ``error``: which column to sum up, ``error_deg`` or the symmetry-aware ``error_sym_deg``.
+    ``error``: the column of the errors, ``error_deg`` or the symmetry-aware ``error_sym_deg``.
     """
     errors_deg, seconds = numbers(rows, error), numbers(rows, "seconds")
     noise_mm, low_deg, high_deg = (numbers(rows, column) for column in ("noise_mm", "low_deg", "high_deg"))
@@ -116,7 +116,7 @@ def summarise(rows: Sequence[Row], error: str = "error_deg") -> list[Summary]:
 
 
 def by_overlap(rows: Sequence[Row]) -> list[Row]:
-    """The rows whose overlap is known, their range of angles replaced by the quarter of the overlap, in percent."""
+    """The rows with a known overlap, their range of angles replaced by the quarter of the overlap, in percent."""
     known = [row for row in rows if row["overlap"]]
     place = np.minimum(4 * numbers(known, "overlap"), 3).astype(int)
     return [

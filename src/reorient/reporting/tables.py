@@ -1,4 +1,4 @@
-"""The same table thrice: on the screen, in Markdown, in HTML; by the angle between the images, or by their overlap."""
+"""The table of an evaluation on the screen, in Markdown and in HTML, by start angle or by overlap."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -16,23 +16,23 @@ HEADINGS = (
     *("noise", "", "estimator", "pairs", "median°", "mean°", "rms°", "p90°"),
     *("< 1°", _BELOW5, "< 5° sym.", "ms"),
 )
-_WORDS = 3  # the first columns, set to the left
+_WORDS = 3  # number of left-aligned columns
 _BAR = HEADINGS.index(_BELOW5)
 
 
 @dataclass(frozen=True)
 class Breakdown:
-    """What the rows of one estimator and noise are divided by."""
+    """The quantity by which the rows of an estimator and noise level are divided."""
 
     heading: str
     unit: str
     divide: Callable[[Sequence[Row]], Sequence[Row]]
-    """The rows that can be divided, with the bounds of the division in the columns of the range."""
+    """Selects the rows with a known value and writes the bounds of its interval into the columns of the range."""
     note: str = ""
 
     @property
     def headings(self) -> list[str]:
-        """Of the table's columns."""
+        """Headings of the columns."""
         return [heading or self.heading for heading in HEADINGS]
 
 
@@ -41,12 +41,13 @@ OVERLAP = Breakdown(
     "overlap",
     "%",
     by_overlap,
-    " Overlap: share of the goal's visible surface that the start sees too, from rays cast at the mesh; all angles.",
+    " Overlap: the share of the goal's visible surface that is visible in the start (co-visible), from rays cast "
+    "at the mesh; all angles.",
 )
 
 
 def print_tables(rows: Sequence[Row], console: Console) -> None:
-    """One table for each noise level by range, and where it is known by overlap, at most 120 columns wide."""
+    """Print tables for each noise level, by range and (where known) by overlap, at most 120 columns wide."""
     for by in (RANGE, OVERLAP):
         for noise, group in groupby(_lines(rows, by), key=lambda line: line[1][0]):
             table = Table(title=f"depth noise {noise}, {_worlds(rows)}", title_justify="left", header_style="bold")
@@ -87,13 +88,13 @@ def html_table(rows: Sequence[Row], by: Breakdown = RANGE) -> str:
 
 
 def notes(rows: Sequence[Row]) -> str:
-    """What the reader of the table must know, in one paragraph."""
+    """The definitions behind the table, in one paragraph."""
     refused = {name: sum(bool(row["message"]) for row in rows if row["estimator"] == name) for name in estimators(rows)}
-    said = ", ".join(f"{name} {count}" for name, count in refused.items() if count)
+    counts = ", ".join(f"{name} {count}" for name, count in refused.items() if count)
     return (
         f"Errors in degrees over all pairs of the cell, {_worlds(rows)}; sym.: symmetry-aware; ms: median processor "
-        'time of one estimate, all threads; the interval is Wilson\'s. A refused pair counts as answered "no rotation"'
-        + (f" (refused: {said})." if said else "; none was refused.")
+        'time of one estimate, all threads; the interval is Wilson\'s. A refused pair counts as "no rotation"'
+        + (f" (refused: {counts})." if counts else "; none was refused.")
     )
 
 

@@ -8,9 +8,9 @@ from matplotlib.figure import Figure
 
 from reorient.experiments.evaluation import Evaluation, evaluate
 from reorient.reporting.curves import Curve, Panel, curves, write_png
-from reorient.reporting.figures import svg
 from reorient.reporting.page import inline_image, page
 from reorient.reporting.rows import estimators, numbers, read_rows
+from reorient.reporting.style import svg
 from reorient.reproducing.findings import Finding, html_findings, interval, number
 from reorient.reproducing.networks import Network
 from reorient.reproducing.setting import Setting

@@ -8,13 +8,14 @@ from jaxtyping import Float
 
 from reorient.errors import ReorientError
 
-MOST_VERTICES = 500  # of an object, kept for ShapeMatch (paper, "Training Details")
+MOST_VERTICES = 500  # vertices of an object kept for ShapeMatch (paper, "Training Details")
 
 
 def load_mesh(path: str | Path) -> trimesh.Trimesh:
-    """A surface from a file: .npz with ``v`` (n, 3) and ``f`` (m, 3), or whatever trimesh loads.
+    """A surface from a file: .npz with ``v`` (n, 3) and ``f`` (m, 3), or any format that trimesh loads.
 
-    Units are the file's own. Raises ReorientError for a missing, broken or truncated file and for what is no surface.
+    Lengths are in the unit of the file. Raises ReorientError for a missing, broken or truncated file, and for a mesh
+    that is no surface.
     """
     path = Path(path)
     if not path.is_file():
@@ -26,10 +27,10 @@ def load_mesh(path: str | Path) -> trimesh.Trimesh:
                 mesh = trimesh.Trimesh(arrays["v"].astype(float), arrays["f"].astype(int), process=False)
         else:
             mesh = trimesh.load(path, force="mesh", process=False)
-            _check_end(path, len(getattr(mesh, "faces", ())))
+            _require_complete(path, len(getattr(mesh, "faces", ())))
     except ReorientError:
         raise
-    except Exception as error:  # the loaders of a dozen formats raise whatever they like
+    except Exception as error:  # the loaders of a dozen formats raise many kinds of errors
         raise ReorientError(
             f"cannot read mesh {str(path)!r} ({type(error).__name__}: {error}): expected a complete file that trimesh "
             "loads, or .npz with v (n, 3) and f (m, 3)"
@@ -37,8 +38,11 @@ def load_mesh(path: str | Path) -> trimesh.Trimesh:
     return check_surface(mesh, str(path))
 
 
-def _check_end(path: Path, loaded: int) -> None:
-    """Raise ValueError for text that was cut off where trimesh takes what is left of it, so many faces, for a mesh."""
+def _require_complete(path: Path, loaded: int) -> None:
+    """Raise ValueError for truncated text files of which trimesh silently loads the rest; ``loaded``: faces it found.
+
+    .off and .ply state their number of rows; in .obj only an incomplete last line is detectable.
+    """
     if path.suffix.lower() == ".off":
         bare = "\n".join(line.partition("#")[0] for line in path.read_text(errors="replace").splitlines())
         lines = [words for line in bare.partition("OFF")[2].splitlines() if (words := line.split())]
@@ -50,7 +54,9 @@ def _check_end(path: Path, loaded: int) -> None:
         header, _, body = path.read_bytes().partition(b"end_header")
         stated = dict(line.split()[1:3] for line in header.splitlines() if line.startswith(b"element"))
         rows = sum(map(int, stated.values()))
-        missing = len(body.split(b"\n")) <= rows or loaded < int(stated.get(b"face", 0))  # the first ends the header
+        missing = len(body.split(b"\n")) <= rows or loaded < int(
+            stated.get(b"face", 0)
+        )  # the first line ends the header
         if b"format ascii" in header and missing:
             raise ValueError(f"fewer than {rows} whole lines")
     if path.suffix.lower() == ".obj":
@@ -60,7 +66,7 @@ def _check_end(path: Path, loaded: int) -> None:
 
 
 def check_surface(mesh: object, name: str = "mesh") -> trimesh.Trimesh:
-    """The mesh itself if it is a surface. Raises ReorientError for no faces, bad shapes or indices, NaN or no area."""
+    """The mesh itself. Raises ReorientError for no faces, wrong shapes or indices, NaN, and zero area."""
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise ReorientError(f"{name!r} has no faces: expected a triangle mesh, not points or curves")
     if mesh.vertices.shape[1:] != (3,) or mesh.faces.shape[1:] != (3,):
@@ -80,7 +86,7 @@ def check_surface(mesh: object, name: str = "mesh") -> trimesh.Trimesh:
 
 
 def center(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """A copy whose bounding box is centred on the origin; vertices that no face uses are dropped."""
+    """A copy whose bounding box is centred on the origin, without vertices that no face uses."""
     used, faces = np.unique(mesh.faces, return_inverse=True)
     vertices = np.asarray(mesh.vertices, float)[used]
     vertices = vertices - (vertices.max(axis=0) + vertices.min(axis=0)) / 2
@@ -93,19 +99,21 @@ def bounding_radius(mesh: trimesh.Trimesh) -> float:
 
 
 def scale_to_radius(mesh: trimesh.Trimesh, radius_m: float) -> trimesh.Trimesh:
-    """A centred copy that just fits a sphere of this radius around the origin."""
+    """A centred copy with this bounding radius around the origin."""
     centred = center(mesh)
-    return centred.apply_scale(radius_m / bounding_radius(centred))
+    centred.apply_scale(radius_m / bounding_radius(centred))
+    return centred
 
 
 def scale_to_diagonal(mesh: trimesh.Trimesh, diagonal_m: float) -> trimesh.Trimesh:
     """A centred copy whose bounding box has this diagonal."""
     centred = center(mesh)
-    return centred.apply_scale(diagonal_m / float(np.linalg.norm(np.ptp(centred.vertices, axis=0))))
+    centred.apply_scale(diagonal_m / float(np.linalg.norm(np.ptp(centred.vertices, axis=0))))
+    return centred
 
 
 def some_vertices(mesh: trimesh.Trimesh, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
-    """At most 500 different vertices about the box's centre, over the bounding radius."""
+    """At most 500 distinct vertices of the centred mesh, drawn at random, over the bounding radius."""
     mesh = center(mesh)
     vertices = np.unique(mesh.vertices, axis=0)
     if len(vertices) > MOST_VERTICES:

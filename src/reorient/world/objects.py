@@ -15,19 +15,19 @@ from reorient.errors import ReorientError, unknown_name
 from reorient.world import shapes
 from reorient.world.meshes import load_mesh
 
-PACKAGES = ("example-robot-data", "rtb-data", "pybullet")  # pip packages that ship meshes
+PACKAGES = ("example-robot-data", "rtb-data", "pybullet")  # pip packages with meshes
 VALIDATION_SHARE = 0.1  # of the objects for training
 MESH_SUFFIXES = (".npz", ".obj", ".stl", ".ply", ".dae", ".off", ".glb", ".gltf", ".3mf")
 
 
 @dataclass(frozen=True)
 class ObjectSet:
-    """Named meshes, each loaded when asked for; units and origin are the source's own."""
+    """Named meshes, loaded on demand, in the units and about the origin of the source."""
 
     source: str
     names: tuple[str, ...]
     load: Callable[[str], trimesh.Trimesh]
-    """The mesh of a name; raises ReorientError where the file is broken."""
+    """Loads the mesh of a name; raises ReorientError for a broken file."""
 
     def only(self, names: Sequence[str]) -> "ObjectSet":
         """The subset with these names, in this order. Raises ReorientError for a name the set does not have."""
@@ -40,7 +40,7 @@ class ObjectSet:
 
 @dataclass(frozen=True)
 class Split:
-    """Object numbers of a set; no object is in two parts."""
+    """Indices of the objects in three disjoint parts of a set."""
 
     train: tuple[int, ...]
     validation: tuple[int, ...]
@@ -48,9 +48,9 @@ class Split:
 
 
 def split(names: Sequence[str], test_objects: int | None = None) -> Split:
-    """By a hash of the name; a fifth is for testing unless told, and a tenth of the others for validation.
+    """Split by a hash of the name: a fifth for testing unless given, a tenth of the others for validation.
 
-    Raises ReorientError where a part would be empty.
+    Raises ReorientError if a part would be empty.
     """
     test = len(names) // 5 if test_objects is None else test_objects
     order = sorted(range(len(names)), key=lambda i: zlib.crc32(names[i].encode()))
@@ -72,9 +72,9 @@ def generated(count: int, seed: int = 0) -> ObjectSet:
 
 
 def folder(path: str | Path) -> ObjectSet:
-    """All meshes below a folder, named by their path, without suffix where that is enough.
+    """All meshes below a folder, named by their relative path, with the suffix only where names would collide.
 
-    Raises ReorientError where there is none.
+    Raises ReorientError if there is none.
     """
     root = Path(path)
     if not root.is_dir():
@@ -90,7 +90,7 @@ def folder(path: str | Path) -> ObjectSet:
 
 
 def package(name: str) -> ObjectSet:
-    """The meshes that an installed pip package ships. Raises ReorientError where it is not installed."""
+    """The meshes of an installed pip package. Raises ReorientError if it is not installed."""
     if name not in PACKAGES:
         raise unknown_name("mesh package", name, list(PACKAGES))
     module = {"pybullet": "pybullet_data"}.get(name)
@@ -130,12 +130,12 @@ class ObjectSource:
 
     @classmethod
     def from_json(cls, described: dict[str, Any]) -> "ObjectSource":
-        """Back from what ``asdict`` became in a JSON file."""
+        """The source from its ``asdict`` in a JSON file."""
         paths = {key: Path(described[key]) for key in ("meshes", "only") if described[key] is not None}
         return cls(**described | paths)
 
     def open(self) -> ObjectSet:
-        """The set. Raises ReorientError for a missing folder or package, or an unknown name."""
+        """The object set. Raises ReorientError for a missing folder or package, and for an unknown name."""
         if self.meshes is not None and self.package is not None:
             raise ReorientError("both --meshes and --package given: expected one source of objects")
         if self.meshes is not None:

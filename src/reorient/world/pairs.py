@@ -16,14 +16,14 @@ from reorient.world.sensing import Sensor, sense
 
 @dataclass(frozen=True)
 class Pair:
-    """A start, a goal and the truth between them."""
+    """A start image, a goal image and the true rotation between them."""
 
     current: DepthImage
-    """I_s, which bears the rectangle."""
+    """I_s, the start; the image with the rectangle."""
     goal: DepthImage
     """I_g."""
     R_goal_current: Float[np.ndarray, "3 3"]
-    """What turns the start into the goal: R_g = R_goal_current @ R_s."""
+    """R_g = R_goal_current @ R_s, camera axes."""
     R_camera_object: Float[np.ndarray, "3 3"]
     """The start orientation R_s."""
     placement: Placement
@@ -31,7 +31,7 @@ class Pair:
     """The nominal rotation centre, up to 1 cm wrong along each axis."""
 
 
-FEWEST_RETURNS = 100  # views that show less (a sheet edge on) ask nothing of an estimator, and are drawn again
+FEWEST_RETURNS = 100  # pairs with an image of fewer returns (a sheet seen edge on) are drawn again
 
 
 def sample_pair(
@@ -39,7 +39,7 @@ def sample_pair(
 ) -> Pair:
     """Draw R_s uniform on SO(3), a rotation of an angle uniform in [low, high] about a uniform axis, and two images.
 
-    Drawn again where either image has fewer than 100 returns; raises ReorientError for an object that never has.
+    A pair with an image of fewer than 100 returns is drawn again. Raises ReorientError if none of 100 pairs has enough.
     """
     for _ in range(100):
         placement = world.place(rng, renderer.mesh)
@@ -48,7 +48,7 @@ def sample_pair(
         try:
             current = sense(rng, renderer, world.camera, R_start, placement, sensor, world.quantum_m, occluded=True)
             goal = sense(rng, renderer, world.camera, R_goal_current @ R_start, placement, sensor, world.quantum_m)
-        except ReorientError:  # nothing seen at all
+        except ReorientError:  # an image without any return
             continue
         if min(np.count_nonzero(image.depth_m) for image in (current, goal)) >= FEWEST_RETURNS:
             return Pair(current, goal, R_goal_current, R_start, placement, placement.nominal_pivot_m(rng))
@@ -56,9 +56,9 @@ def sample_pair(
 
 
 def view_overlap(renderer: Renderer, pair: Pair) -> float:
-    """Share of the goal's visible surface, as its exact image shows it, that the start's camera sees too.
+    """Share of the surface visible in the goal that is visible in the start as well (co-visible overlap).
 
-    By casting rays at the mesh, without the sensor: what the rectangle, noise or shadows hide counts as seen.
+    From ray casts at the mesh, without the sensor model: surface hidden by the rectangle or a shadow counts as visible.
     """
     camera, center_m = pair.goal.camera, pair.placement.center_m
     depth_m = renderer.depth(camera, pair.R_goal_current @ pair.R_camera_object, pair.placement)
@@ -67,7 +67,7 @@ def view_overlap(renderer: Renderer, pair: Pair) -> float:
     return 1 - float(hidden.mean())
 
 
-LARGEST_CHUNK = 64  # pairs, what one read of a stored set brings
+LARGEST_CHUNK = 64  # pairs that one read of a stored set loads at most
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class PairSet:
     """Pairs to generate."""
 
     objects: ObjectSource = field(default_factory=ObjectSource)
-    """Whose pairs are drawn."""
+    """Objects that are drawn."""
     pairs_per_object: int = 200
     """Number of pairs of each object, each with its own start and rotation."""
     world: str = "paper"
@@ -90,7 +90,7 @@ class PairSet:
     """Seed of the pairs."""
 
     def __post_init__(self) -> None:
-        """Raises ReorientError for what cannot be drawn."""
+        """Raises ReorientError for an unknown world and for values outside their range."""
         load_world(self.world)
         if not 0 <= self.low_deg <= self.high_deg <= 180:
             raise ReorientError(
@@ -101,5 +101,5 @@ class PairSet:
 
     @property
     def chunk(self) -> int:
-        """Pairs a chunk: the most that divide an object's pairs evenly."""
+        """Pairs per chunk: the largest divisor of an object's pairs up to LARGEST_CHUNK."""
         return max(n for n in range(1, LARGEST_CHUNK + 1) if self.pairs_per_object % n == 0)

@@ -1,6 +1,6 @@
-"""The paper's object filter: trimesh's axes of inertia, and turns of the stable poses that change nothing.
+"""The paper's object filter: trimesh's axes of inertia, and rotations of the stable poses that change nothing.
 
-It is kept to select the objects that the paper would; ``symmetry.rotation_group`` is the better judge of symmetry.
+It selects the objects that the paper would select. ``symmetry.rotation_group`` measures symmetry more accurately.
 """
 
 import numpy as np
@@ -10,7 +10,7 @@ from scipy.spatial import QhullError
 
 from reorient import so3
 from reorient.world.meshes import check_surface
-from reorient.world.symmetry import Surface
+from reorient.world.surface_cloud import SurfaceCloud
 
 PAPER_FILTER_BELOW = 0.02  # of the RMS radius; see has_symmetric_stable_pose
 
@@ -18,7 +18,7 @@ PAPER_FILTER_BELOW = 0.02  # of the RMS radius; see has_symmetric_stable_pose
 def passes_paper_filter(mesh: trimesh.Trimesh) -> bool:
     """Whether a mesh is non-symmetric by both tests of the paper ("Non-Symmetric Object Dataset Experiments").
 
-    Raises ReorientError for what is no surface.
+    Raises ReorientError for a mesh that is no surface.
     """
     return not has_trimesh_axis(mesh) and not has_symmetric_stable_pose(mesh)
 
@@ -26,7 +26,7 @@ def passes_paper_filter(mesh: trimesh.Trimesh) -> bool:
 def has_trimesh_axis(mesh: trimesh.Trimesh) -> bool:
     """Whether trimesh finds a mesh ``radial`` or ``spherical``: two or three equal principal moments of inertia.
 
-    What trimesh takes for the moments of an open mesh depends on the origin, which is then put in its centroid.
+    The moments that trimesh computes for an open mesh depend on the origin, which is moved to its centroid here.
     """
     check_surface(mesh)
     if not mesh.is_volume:
@@ -35,39 +35,40 @@ def has_trimesh_axis(mesh: trimesh.Trimesh) -> bool:
 
 
 def _is_flat(mesh: trimesh.Trimesh) -> bool:
-    """Whether a mesh encloses nothing, and so has no centre of mass and no inertia."""
+    """Whether a mesh encloses no volume, and so has no centre of mass and no inertia."""
     volume = np.linalg.det(mesh.triangles - mesh.centroid).sum() / 6  # mesh.volume divides by it
     return bool(abs(volume) <= 1e-9 * mesh.scale**3)
 
 
 def has_symmetric_stable_pose(mesh: trimesh.Trimesh, below: float = PAPER_FILTER_BELOW) -> bool:
-    """Whether a turn by 120 or 180 degrees about x, y or z of any stable pose leaves the point cloud where it was.
+    """Whether a rotation by 120 or 180 degrees about x, y or z of any stable pose maps the point cloud to itself.
 
-    The clouds are samples of the surface, not renderings, so they do not depend on a camera; x, y, z pass through
-    their centroid, z up and x, y as trimesh chooses them. The distance is the mean to the nearest point, less that of
-    two samples of one surface, over the RMS radius. Shapes that are symmetric by construction score below 0.002 and
-    irregular ones 0.1; of a hundred household goods it rejects 92% of those that ``rotation_group``
+    The clouds are samples of the surface, not renderings, so they do not depend on a camera. The axes pass through the
+    centroid, z up and x, y as trimesh chooses them. The distance is the mean distance to the nearest point, minus that
+    of two samples of one surface, over the RMS radius. It is below 0.002 for shapes that are symmetric by construction
+    and about 0.1 for irregular ones. Of a hundred household objects it rejects 92% of those that ``rotation_group``
     calls symmetric (residual below 0.05) and 2% of the others.
     """
-    surface = Surface(check_surface(mesh))
-    pose = stable_poses(mesh)[:60, None]  # round things have a thousand
-    turns = so3.exp(np.concatenate([np.eye(3) * np.radians(120), np.eye(3) * np.radians(180)]))
-    R = (np.swapaxes(pose, -1, -2) @ turns @ pose).reshape(-1, 3, 3)
+    surface = SurfaceCloud(check_surface(mesh))
+    pose = stable_poses(mesh)[:60, None]  # round objects have a thousand
+    rotations = so3.exp(np.concatenate([np.eye(3) * np.radians(120), np.eye(3) * np.radians(180)]))
+    R = (np.swapaxes(pose, -1, -2) @ rotations @ pose).reshape(-1, 3, 3)
     R = R[np.argsort(surface.coarse(R))[:60]]
     means = surface.distances(R).mean(axis=1) - surface.distances(np.eye(3)[None]).mean()
     return bool(means.min() < below)
 
 
 def stable_poses(mesh: trimesh.Trimesh) -> Float[np.ndarray, "k 3 3"]:
-    """The orientations, from mesh to table axes with z up, in which a mesh rests, the widest footing first.
+    """The orientations, from mesh to table axes (z up), in which a mesh rests on a plane, the largest face first.
 
-    It rests on a face of its hull that is under its centre of mass: the set of ``trimesh.poses.compute_stable_poses``
-    with sigma 0, which takes a hundred times as long and never returns when the centre of mass of an open mesh is
-    outside its hull. A mesh that encloses no volume is as heavy as its hull; a flat one rests on either side.
+    It rests on a face of its hull that is under its centre of mass. These are the poses of
+    ``trimesh.poses.compute_stable_poses`` with sigma 0, which takes a hundred times as long and does not terminate if
+    the centre of mass of an open mesh is outside its hull. For a mesh that encloses no volume the centre of mass of the
+    hull is used; a flat mesh rests on either side.
     """
     down = _resting_normals(mesh)
     if len(down) == 0:
-        down = np.array([-1, 1])[:, None] * Surface(mesh).principal[0]
+        down = np.array([-1, 1])[:, None] * SurfaceCloud(mesh).principal[0]
     z = -down / np.linalg.norm(down, axis=1, keepdims=True)
     x = np.stack([-z[:, 1], z[:, 0], np.zeros(len(z))], axis=1)
     x = np.where(np.linalg.norm(x, axis=1, keepdims=True) < 1e-9, [1.0, 0.0, 0.0], x)
@@ -90,4 +91,4 @@ def _resting_normals(mesh: trimesh.Trimesh) -> Float[np.ndarray, "k 3"]:
     sides = np.einsum("fi,fki->fk", normal, np.cross(edges, foot[:, None] - corner))
     down, face = np.unique(np.round(normal, 3), axis=0, return_inverse=True)
     stable = np.bincount(face, np.all(sides >= -1e-9 * mesh.scale**2, axis=1)) > 0
-    return down[stable][np.argsort(-np.bincount(face, hull.area_faces)[stable])]
+    return np.asarray(down[stable][np.argsort(-np.bincount(face, hull.area_faces)[stable])])

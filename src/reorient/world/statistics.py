@@ -1,4 +1,4 @@
-"""What a set of objects is like: faces, genus, aspect, convexity, symmetry; and which of its meshes are refused."""
+"""Statistics of a set of objects: faces, genus, aspect, convexity, symmetry, and the meshes that are refused."""
 
 from collections.abc import Iterator
 
@@ -14,11 +14,11 @@ from reorient.world.objects import ObjectSource
 from reorient.world.symmetry import SYMMETRIC_BELOW, rotation_group
 
 FIGURES = ("faces", "genus", "aspect", "convexity", "symmetry_residual")
-CHUNK = 8  # objects a worker takes at once
+CHUNK = 8  # objects per task of a worker
 
 
 def describe(source: ObjectSource, pool: Pool | None = None) -> Iterator[tuple[dict[str, str], int]]:
-    """One row an object, in the set's order, with the number of objects in all."""
+    """One row per object, in the order of the set, with the total number of objects."""
     names = source.open().names
     tasks = [(source, names[start : start + CHUNK]) for start in range(0, len(names), CHUNK)]
     for rows in (pool or Pool()).map(_describe_chunk, tasks):
@@ -27,11 +27,11 @@ def describe(source: ObjectSource, pool: Pool | None = None) -> Iterator[tuple[d
 
 
 def describe_mesh(mesh: trimesh.Trimesh) -> dict[str, float]:
-    """The figures of one mesh, of any unit.
+    """The statistics of one mesh, in any unit.
 
-    Genus counts handles of the closed surface (NaN where it is open); aspect is the longest over the shortest extent
-    of the box, in the mesh's own axes; convexity is volume over that of the convex hull (NaN where open); the symmetry
-    residual is small where some rotation of at least 25 degrees maps the object to itself (see ``rotation_group``).
+    Genus: handles of the closed surface (NaN if open). Aspect: longest over shortest extent of the bounding box, in the
+    mesh's axes. Convexity: volume over that of the convex hull (NaN if open). Symmetry residual: small if some rotation
+    of at least 25 degrees maps the object to itself (see ``rotation_group``).
     """
     mesh = scale_to_radius(mesh, 1.0)
     welded = trimesh.Trimesh(mesh.vertices, mesh.faces)  # merges the vertices that process=False keeps apart
@@ -47,7 +47,7 @@ def describe_mesh(mesh: trimesh.Trimesh) -> dict[str, float]:
 
 
 def is_distinctive(mesh: trimesh.Trimesh) -> bool:
-    """Whether the tables' "non-symmetric" holds: residual 0.05 or more, aspect below 12, at least 50 faces."""
+    """The criterion for "non-symmetric" in the tables: residual at least 0.05, aspect below 12, at least 50 faces."""
     figures = describe_mesh(mesh)
     return figures["symmetry_residual"] >= SYMMETRIC_BELOW and figures["aspect"] < 12 and figures["faces"] >= 50
 
@@ -68,7 +68,7 @@ def _describe_chunk(task: tuple[ObjectSource, tuple[str, ...]]) -> list[dict[str
 
 
 def print_statistics(rows: list[dict[str, str]], console: Console) -> None:
-    """Percentiles of each figure, the share of symmetric objects, and the refused ones by name."""
+    """Print percentiles of each statistic, the share of symmetric objects, and the refused objects by name."""
     table = Table(title=f"{len(rows)} objects")
     table.add_column("figure")
     percentiles = (5, 25, 50, 75, 95)

@@ -1,6 +1,6 @@
-"""A robot arm from MJCF: forward and inverse kinematics, collisions, shapes. What it can reach, not how it moves.
+"""Geometry of a robot arm from MJCF: forward and inverse kinematics, collisions, shapes.
 
-Transforms are (4, 4) ``T_a_b``, taking b to a, metres. World axes are the robot's base: x forward, y left, z up.
+Transforms are (4, 4) ``T_a_b``, from b to a, metres. World axes are those of the robot's base: x forward, y left, z up.
 """
 
 from collections.abc import Sequence
@@ -18,11 +18,11 @@ from reorient.errors import ReorientError, StationError
 from reorient.se3 import Transform
 
 YUMI = Path(__file__).with_name("yumi.xml")
-_SLOWEST_RAD_S = 1.0  # where the MJCF states no speed
-_STEPS = 100  # of the inverse kinematics, from one start
-_NEAR_M, _NEAR_RAD = 1e-4, 2e-4  # a solved pose is this close
-_STARTS = 6  # joint positions to start from, besides the present and the home one
-_SWEEP_RAD = 0.1  # between the checked points of a path
+_SLOWEST_RAD_S = 1.0  # joint speed if the MJCF has none
+_STEPS = 100  # iterations of the inverse kinematics from one start
+_NEAR_M, _NEAR_RAD = 1e-4, 2e-4  # tolerance of the inverse kinematics
+_STARTS = 6  # random starts of the inverse kinematics, besides the present and the home position
+_SWEEP_RAD = 0.1  # distance of the collision-checked points of a path
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,16 +30,16 @@ class Part:
     """A rigid shape of the cell."""
 
     name: str
-    """Its body's."""
+    """Name of its body."""
     mesh: trimesh.Trimesh
-    """In its own frame."""
+    """In the frame of the part, metres."""
     rgb: Float[np.ndarray, "3"]
     """In [0, 1]."""
     T_world_part: Transform
 
 
 class Arm:
-    """The arm's geometry. Joints are the hinges on the way to the site ``tcp``, in order, radians."""
+    """The arm's geometry. Joints are the hinges from the base to the site ``tcp``, in radians."""
 
     def __init__(self, mjcf: str | Path = YUMI) -> None:
         self.mjcf = Path(mjcf)
@@ -68,7 +68,7 @@ class Arm:
         self._limits = [mink.ConfigurationLimit(self.model)]
 
     def _chain(self) -> tuple[list[int], list[int]]:
-        """The hinges that carry the hand, from the base on, and the slides of its fingers."""
+        """Indices of the hinges from the base to the hand, and of the slides of the fingers."""
         joints: list[int] = []
         body = self.hand
         while body:
@@ -99,16 +99,16 @@ class Arm:
     def solve(
         self, T_world_tcp: Transform, near_rad: Float[np.ndarray, " n"], fingers_m: float = 0.0
     ) -> Float[np.ndarray, " n"]:
-        """Joint positions that bring the tool centre there, within limits, along a free straight path in joint space.
+        """Joint positions for a pose of the tool centre, within limits, on a free straight path in joint space.
 
-        The present ones (``near_rad``) are tried as a start first, so that small moves stay small. Raises StationError
-        where nothing is found.
+        ``near_rad``: the present positions, the first start of the iteration, so that small moves stay small. Raises
+        StationError if there is no solution.
         """
-        rng = np.random.default_rng(0)  # the same question, the same answer
+        rng = np.random.default_rng(0)
         starts = [near_rad, self.home_rad, *rng.uniform(self.low_rad, self.high_rad, (_STARTS, len(self.joints)))]
         solved = False
         for start in starts:
-            joints_rad = self._descend(T_world_tcp, np.clip(start, self.low_rad, self.high_rad))
+            joints_rad = self._inverse_kinematics(T_world_tcp, np.clip(start, self.low_rad, self.high_rad))
             if joints_rad is None:
                 continue
             solved = True
@@ -120,8 +120,10 @@ class Arm:
             else "out of reach: no joint positions within the limits bring the gripper there"
         )
 
-    def _descend(self, T_world_tcp: Transform, start_rad: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"] | None:
-        """Inverse kinematics from one start; None where it does not arrive."""
+    def _inverse_kinematics(
+        self, T_world_tcp: Transform, start_rad: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, " n"] | None:
+        """Inverse kinematics from one start; None if it does not converge."""
         configuration = self._configuration
         q = self.data.qpos * 0
         q[self._address] = start_rad
@@ -131,7 +133,7 @@ class Arm:
         for _ in range(_STEPS):
             error = reach.compute_error(configuration)
             if np.linalg.norm(error[:3]) < _NEAR_M and np.linalg.norm(error[3:]) < _NEAR_RAD:
-                return np.clip(configuration.q[self._address], self.low_rad, self.high_rad)
+                return np.asarray(np.clip(configuration.q[self._address], self.low_rad, self.high_rad))
             velocity = mink.solve_ik(configuration, [reach], 1.0, "daqp", damping=1e-6, limits=self._limits)
             configuration.integrate_inplace(velocity, 1.0)
         return None
@@ -139,7 +141,7 @@ class Arm:
     # --- collisions and shapes --------------------------------------------------------------------------------------
 
     def collides(self, joints_rad: Float[np.ndarray, " n"], fingers_m: float) -> bool:
-        """Whether the arm touches the table or itself there (fingers apart)."""
+        """Whether the arm touches the table or itself (contacts of the fingers are ignored)."""
         self._place(joints_rad, fingers_m)
         for contact in self.data.contact[: self.data.ncon]:
             bodies = {int(self.model.geom_bodyid[geom]) for geom in (contact.geom1, contact.geom2)}
@@ -154,12 +156,12 @@ class Arm:
         return any(self.collides(start_rad + t * (end_rad - start_rad), fingers_m) for t in np.linspace(1, 0, n)[:-1])
 
     def parts(self, joints_rad: Float[np.ndarray, " n"], fingers_m: float) -> list[Part]:
-        """All shapes, posed in the world; the world's own (a table) are of body ``world``."""
+        """All parts in world axes; fixed ones (a table) belong to the body ``world``."""
         self._place(joints_rad, fingers_m)
         return self.posed(self.data)
 
     def posed(self, data: mujoco.MjData) -> list[Part]:
-        """The same for a state of this model, or of one that was made from it and has the same geoms."""
+        """All parts for a state of this model, or of a model derived from it with the same geoms."""
         return [
             replace(shape, T_world_part=se3.transform(data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]))
             for geom, shape in enumerate(self._shapes)
@@ -172,7 +174,7 @@ class Arm:
 
 
 def merged(parts: Sequence[Part]) -> trimesh.Trimesh:
-    """All parts as one mesh in world axes, their faces in the order of the parts."""
+    """All parts as one mesh in world axes, with the faces in the order of the parts."""
     vertices = [se3.apply(part.T_world_part, part.mesh.vertices) for part in parts]
     first = np.cumsum([0, *(len(v) for v in vertices)])
     faces = [part.mesh.faces + offset for part, offset in zip(parts, first, strict=False)]
@@ -180,36 +182,39 @@ def merged(parts: Sequence[Part]) -> trimesh.Trimesh:
 
 
 def _part(model: mujoco.MjModel, geom: int) -> Part:
-    """One geom in its own frame."""
+    """A geom as a part in its own frame."""
     body = model.body(model.geom_bodyid[geom]).name
     return Part(body, _mesh(model, geom), np.asarray(model.geom_rgba[geom, :3], float), np.eye(4))
 
 
 def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:
+    mesh: trimesh.Trimesh
     kind, size, types = model.geom_type[geom], model.geom_size[geom], mujoco.mjtGeom
     if kind == types.mjGEOM_BOX:
-        return trimesh.creation.box(2 * size)
-    if kind == types.mjGEOM_CAPSULE:
+        mesh = trimesh.creation.box(2 * size)
+    elif kind == types.mjGEOM_CAPSULE:
         capsule = trimesh.creation.capsule(2 * size[1], size[0], count=[24, 24])
-        return capsule.apply_translation(-capsule.bounds.mean(axis=0))
-    if kind == types.mjGEOM_CYLINDER:
-        return trimesh.creation.cylinder(size[0], 2 * size[1], sections=32)
-    if kind == types.mjGEOM_SPHERE:
-        return trimesh.creation.icosphere(3, size[0])
-    if kind == types.mjGEOM_MESH:
-        mesh = model.geom_dataid[geom]
-        vertices = slice(model.mesh_vertadr[mesh], model.mesh_vertadr[mesh] + model.mesh_vertnum[mesh])
-        faces = slice(model.mesh_faceadr[mesh], model.mesh_faceadr[mesh] + model.mesh_facenum[mesh])
-        return trimesh.Trimesh(model.mesh_vert[vertices], model.mesh_face[faces], process=False)
-    raise ReorientError(
-        f"a geom of body {model.body(model.geom_bodyid[geom]).name!r} is of a kind that cannot be drawn: expected "
-        "boxes, capsules, cylinders, spheres or meshes"
-    )
+        mesh = capsule.apply_translation(-capsule.bounds.mean(axis=0))
+    elif kind == types.mjGEOM_CYLINDER:
+        mesh = trimesh.creation.cylinder(size[0], 2 * size[1], sections=32)
+    elif kind == types.mjGEOM_SPHERE:
+        mesh = trimesh.creation.icosphere(3, size[0])
+    elif kind == types.mjGEOM_MESH:
+        index = model.geom_dataid[geom]
+        vertices = slice(model.mesh_vertadr[index], model.mesh_vertadr[index] + model.mesh_vertnum[index])
+        faces = slice(model.mesh_faceadr[index], model.mesh_faceadr[index] + model.mesh_facenum[index])
+        mesh = trimesh.Trimesh(model.mesh_vert[vertices], model.mesh_face[faces], process=False)
+    else:
+        raise ReorientError(
+            f"a geom of body {model.body(model.geom_bodyid[geom]).name!r} is of a kind that cannot be drawn: expected "
+            "boxes, capsules, cylinders, spheres or meshes"
+        )
+    return mesh
 
 
-def turned(T_world_tcp: Transform, R_step: Float[np.ndarray, "3 3"], at_m: Float[np.ndarray, "3"]) -> Transform:
-    """The pose turned by R_step (world axes, left), its origin moved to ``at_m``."""
-    R = so3.matrix_from_quat(so3.quat_from_matrix(R_step @ T_world_tcp[:3, :3]))  # kept a rotation, move after move
+def rotated_pose(T_world_tcp: Transform, R_step: Float[np.ndarray, "3 3"], at_m: Float[np.ndarray, "3"]) -> Transform:
+    """The pose rotated by R_step from the left (world axes), with its origin at ``at_m``."""
+    R = so3.matrix_from_quat(so3.quat_from_matrix(R_step @ T_world_tcp[:3, :3]))  # stays a rotation over many moves
     return se3.transform(R, at_m)
 
 

@@ -1,7 +1,7 @@
-"""The arm in motion, by MuJoCo: servos that sag under gravity, joints with backlash, encoders, a grasp that may slip.
+"""Dynamics of the arm in MuJoCo: servos that sag under gravity, joints with backlash, encoders, a grasp that can slip.
 
-Each hinge of the arm is split into a motor and a small free play behind it. The encoders sit on the motors, so neither
-the play nor their own zero errors are seen by whoever reads them; the truth is for scoring.
+Each hinge of the arm consists of a motor and a small free play behind it. The encoders are on the motors, so readings
+contain neither the play nor the zero errors of the encoders. The true state is for scoring.
 """
 
 from dataclasses import dataclass
@@ -16,41 +16,41 @@ from reorient.se3 import Transform
 from reorient.stations.cell.arm import Arm, Part
 
 _PERIOD_S = 0.002
-_SPEED_SHARE = 0.5  # of the joints' limits, at the middle of a move
-_SETTLE_S = 0.4  # after a move
+_SPEED_SHARE = 0.5  # peak speed of a move, over the speed limit of the joints
+_SETTLE_S = 0.4  # waiting time after a move
 _ARMATURE_KG_M2 = 0.1  # of a motor, behind its gear
-_RATE_HZ = 12.0  # of a servo's own oscillation, were it not damped; with its load it sets the sag
+_RATE_HZ = 12.0  # natural frequency of an undamped servo; with the load it determines the sag
 _SERVO_NM_RAD = 4000.0
-_HARD = [0.9999, 0.9999, 0.0001, 0.5, 2.0]  # MuJoCo's default constraints give way too much for a gear or a grip
+_HARD = [0.9999, 0.9999, 0.0001, 0.5, 2.0]  # solimp; MuJoCo's default constraints are too soft for a gear or a grip
 
 
 @dataclass(frozen=True)
 class Errors:
-    """What is wrong with an arm that moves."""
+    """Errors of the arm's motion."""
 
     backlash_rad: float = 0.0005
-    """Free play of each joint, from end to end."""
+    """Free play of each joint, end to end."""
     encoder_zero_rad: float = 0.0005
-    """Standard deviation of the encoders' zeros."""
+    """Standard deviation of the zero errors of the encoders."""
     encoder_noise_rad: float = 0.00005
     """Standard deviation of a reading."""
     slip_nm: float | None = None
-    """Torque about the line between the fingertips at which the object slips; None: never."""
+    """Torque about the line between the fingertips above which the object slips; None: never."""
 
 
 @dataclass(frozen=True, eq=False)
 class Load:
-    """The held object, as a mass in the hand's tool frame."""
+    """The held object as a mass in the tool frame."""
 
     mass_kg: float
     center_m: Float[np.ndarray, "3"]
-    """Its centre of mass from the tool centre, tool axes."""
+    """Centre of mass relative to the tool centre, tool axes."""
     gyration_m: float
     """Radius of gyration."""
 
 
 class Drive:
-    """An arm that stands at ``joints_rad`` and holds a load, fingers ``fingers_m`` from closed."""
+    """An arm at ``joints_rad`` that holds a load, with each finger ``fingers_m`` from closed."""
 
     def __init__(
         self,
@@ -62,7 +62,7 @@ class Drive:
         zero_rad: Float[np.ndarray, " n"],
         rng: Generator,
     ) -> None:
-        """``zero_rad``: what each encoder reads where its motor is at 0."""
+        """``zero_rad``: reading of each encoder when its motor is at 0."""
         self.arm, self.errors, self._zero_rad, self._rng = arm, errors, zero_rad, rng
         self.fingers_m = fingers_m
         self.model = _with_errors(arm, load, errors)
@@ -80,7 +80,7 @@ class Drive:
         self._run(self._target, _SETTLE_S)
 
     def move(self, joints_rad: Float[np.ndarray, " n"]) -> None:
-        """Bring the encoders to these positions as well as the servos can, within the joints' speeds; then settle."""
+        """Drive the encoders to these positions within the joints' speeds, as well as the servos can; then settle."""
         way = joints_rad - self._target
         duration_s = float(np.max(np.abs(way) * np.pi / 2 / (self.arm.speed_rad_s * _SPEED_SHARE)))
         begin = self._target.copy()
@@ -90,13 +90,13 @@ class Drive:
         self._run(self._target, _SETTLE_S)
 
     def wait(self, seconds: float) -> None:
-        """Hold still."""
+        """Hold the present target."""
         self._run(self._target, seconds)
 
     def read(self) -> Float[np.ndarray, " n"]:
-        """Joint positions by the encoders."""
+        """Joint positions from the encoders."""
         noise = self.errors.encoder_noise_rad * self._rng.standard_normal(len(self._motor))
-        return self.data.qpos[self._motor] + self._zero_rad + noise
+        return np.asarray(self.data.qpos[self._motor] + self._zero_rad + noise)
 
     @property
     def time_s(self) -> float:
@@ -104,20 +104,20 @@ class Drive:
         return float(self.data.time)
 
     def true_joints(self) -> Float[np.ndarray, " n"]:
-        """Where the joints really are. For scoring."""
+        """True joint positions, for scoring."""
         joints_rad = self.data.qpos[self._motor]
-        return joints_rad + self.data.qpos[self._play] if len(self._play) else joints_rad
+        return np.asarray(joints_rad + self.data.qpos[self._play] if len(self._play) else joints_rad)
 
     def true_tcp(self) -> Transform:
-        """T_world_tcp as it really is. For scoring, and for what the cameras see."""
+        """True T_world_tcp, for scoring and for the cameras."""
         return self._site(self._tcp)
 
     def true_held(self) -> Transform:
-        """The tool frame as the held object knows it: ``true_tcp`` but for what has slipped."""
+        """T_world_held, the tool frame that moves with the held object: ``true_tcp`` plus the slip."""
         return self._site(self._held)
 
     def true_parts(self) -> list[Part]:
-        """The shapes of the cell where they really are, without the object."""
+        """The parts of the cell at their true poses, without the object."""
         mujoco.mj_fwdPosition(self.model, self.data)
         return self.arm.posed(self.data)
 
@@ -132,13 +132,13 @@ class Drive:
 
 
 def _with_errors(arm: Arm, load: Load | None, errors: Errors) -> mujoco.MjModel:
-    """The arm's model with a servo and a play for each hinge, and the held object."""
+    """The arm's model with a servo and a free play for each hinge, and the held object."""
     spec = mujoco.MjSpec.from_file(str(arm.mjcf))
     for old in [*spec.actuators, *spec.keys]:
         spec.delete(old)
     spec.option.timestep = _PERIOD_S
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT  # paths are free: Arm.solve has seen to it
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT  # Arm.solve returns collision-free paths
     half = errors.backlash_rad / 2
     for index in arm.joints:
         joint = spec.joint(arm.model.joint(index).name)

@@ -1,4 +1,4 @@
-"""Where a parallel gripper can hold a mesh: between the fingertips, clear of the palm."""
+"""Grasps of a mesh by a parallel gripper: between the fingertips, clear of the palm."""
 
 from dataclasses import dataclass
 
@@ -12,9 +12,9 @@ from reorient.errors import ReorientError
 from reorient.se3 import Transform
 from reorient.world.meshes import bounding_radius, scale_to_radius
 
-FINGER_M = 0.010  # half width of a finger that must find the object between, and clearance beside it
-DEPTH_M = (-0.03, 0.012)  # along the approach, from the tool centre: what fingers and palm leave free
-_HOLD_M = 0.008  # something must be between the fingertips within this of the tool centre
+FINGER_M = 0.010  # half width of a finger, clearance included
+DEPTH_M = (-0.03, 0.012)  # free space between fingers and palm, along the approach from the tool centre
+_HOLD_M = 0.008  # largest distance of the held part from the tool centre, along the approach
 _TRIES = 400
 _SMALLER = 0.9
 
@@ -24,19 +24,19 @@ class Grasp:
     """An object between the fingers."""
 
     mesh: trimesh.Trimesh
-    """Scaled to the gripper, centred, metres."""
+    """Scaled to the gripper and centred, metres."""
     T_tcp_object: Transform
     fingers_m: float
-    """How far each finger is from closed."""
+    """Opening of each finger from closed."""
 
 
 def find_grasp(
     mesh: trimesh.Trimesh, rng: Generator, stroke_m: float, radius_m: float = 0.065, smallest_m: float = 0.03
 ) -> Grasp:
-    """A random grasp of an object scaled to a bounding radius of ``radius_m``, or smaller where it is too thick.
+    """A random grasp of an object scaled to a bounding radius of ``radius_m``, or less if it is too thick.
 
-    The orientation is random; the object reaches no farther back than the palm, and is held where it is at most two
-    strokes thick. Raises ReorientError where nothing is found down to ``smallest_m``.
+    The orientation is uniform on SO(3). The object does not reach into the palm, and the held part is at most two
+    strokes thick. Raises ReorientError if there is no grasp down to ``smallest_m``.
     """
     while radius_m >= smallest_m:
         scaled = scale_to_radius(mesh, radius_m)
@@ -57,11 +57,11 @@ def find_grasp(
 def _held_at(
     points: Float[np.ndarray, "n 3"], rng: Generator, stroke_m: float
 ) -> tuple[Float[np.ndarray, "3"], float] | None:
-    """The shift that brings a part of the turned object between the fingertips, and their opening; or None."""
+    """The translation that moves a part of the rotated object between the fingertips, and their opening; or None."""
     x, y, z = points.T
     back = z.min()  # the object's end towards the palm
     depth_m = rng.uniform(0.6, 1.0) * DEPTH_M[0]
-    tip = back - depth_m  # where along the approach the fingertips meet it
+    tip = back - depth_m  # of the fingertips along the approach
     column = points[(np.abs(z - tip) < _HOLD_M)]
     if not len(column):
         return None

@@ -1,7 +1,6 @@
-"""What is really there: the arm as it moves, the object as it is held, the cameras where they are.
+"""The true state of the cell: the moving arm, the held object, the cameras.
 
-A station may read the encoders, ask for moves and take images; all else in here is the truth, for placing objects and
-for scores.
+A station may use the encoders, moves and images. Everything else is the truth, for placing objects and for scoring.
 """
 
 import colorsys
@@ -17,38 +16,38 @@ from reorient import se3, so3
 from reorient.errors import ReorientError, StationError
 from reorient.imaging import Camera, DepthImage
 from reorient.perception.calibration import MountedCamera
-from reorient.perception.segmentation import ColorImage
+from reorient.perception.frame import ColorImage
 from reorient.se3 import Transform
 from reorient.stations.cell.arm import YUMI, Arm, Part
 from reorient.stations.cell.drive import Drive, Errors, Load
 from reorient.stations.cell.grasp import Grasp, find_grasp
 from reorient.stations.cell.scene import NAME, Scene, mounted_above, projector_of, structured_light, window
 
-_FRAME_S = 0.1  # a depth camera of this kind takes some 10 frames a second
-_REACH_M = 0.115  # of the window of the images around the tool centre
-_DENSITY_KG_M3 = 150.0  # of the object's bounding box: most things are hollow or of plastic
+_FRAME_S = 0.1  # such a depth camera takes about 10 frames per second
+_REACH_M = 0.115  # radius around the tool centre that the images show
+_DENSITY_KG_M3 = 150.0  # mass over the volume of the bounding box: most objects are hollow or of plastic
 _SHOW_EMPTY = so3.exp(np.array([0.0, np.radians(75.0), 0.0]))  # R_world_tcp of the empty gripper in view
-_PLACINGS = 300
-_FEWEST_PX = 2000  # of the object, some 6 square centimetres: less of it asks nothing of an estimator
-_STEEPEST_RAD = np.radians(50.0)  # of the approach, up or down: nearly horizontal, so that the arm hides little
+_PLACINGS = 300  # tried poses
+_FEWEST_PX = 2000  # smallest visible area of the object, about 6 square centimetres
+_STEEPEST_RAD = np.radians(50.0)  # largest slope of the approach; from above the arm would hide the object
 
 
 @dataclass(frozen=True)
 class PlantConfig:
-    """What the cell is really like."""
+    """Parameters of the true cell."""
 
     arm: Path = YUMI
-    """MJCF of the arm; stations/cell/yumi.xml says what it needs."""
+    """MJCF of the arm; the head of stations/cell/yumi.xml lists the requirements."""
     tool_m: tuple[float, float, float] = (0.4, 0.15, 0.22)
-    """Where the tool centre is kept, world axes: some 0.6 m below the cameras."""
+    """Position of the tool centre, world axes: about 0.6 m below the cameras."""
     noise_m: float = 0.0005
     """Standard deviation of the depth noise."""
     errors: Errors = field(default_factory=Errors)
-    """What is wrong with the arm's motion."""
+    """Errors of the arm's motion."""
 
 
 class Plant:
-    """The cell, its gripper empty and in view until it is given something to hold."""
+    """The cell. The gripper is empty and in view until ``hold`` is called."""
 
     def __init__(self, config: PlantConfig, rng: Generator) -> None:
         self._rng, self._config = rng, config
@@ -62,19 +61,19 @@ class Plant:
         joints_rad = self.arm.solve(se3.transform(_SHOW_EMPTY, self.tool_m), self.arm.home_rad, self.fingers_m)
         self._drive = Drive(self.arm, joints_rad, self.fingers_m, None, config.errors, self._zero_rad, rng)
 
-    # --- what a station may use -------------------------------------------------------------------------------------
+    # --- available to a station -------------------------------------------------------------------------------------
 
     def read(self) -> Float[np.ndarray, " n"]:
-        """Joint positions by the encoders."""
+        """Joint positions from the encoders."""
         return self._drive.read()
 
     def move(self, joints_rad: Float[np.ndarray, " n"]) -> None:
-        """Bring the encoders there as well as the servos can."""
+        """Drive the encoders to these positions, as well as the servos can."""
         self._drive.move(joints_rad)
 
     @property
     def fingers_m(self) -> float:
-        """How far each finger is from closed."""
+        """Opening of each finger from closed."""
         return self.arm.stroke_m / 2 if self._grasp is None else self._grasp.fingers_m
 
     @property
@@ -83,8 +82,7 @@ class Plant:
         return self._drive.time_s
 
     def images(self, colour: bool) -> tuple[DepthImage, ColorImage | None]:
-        """What the cameras see a frame later, in a window around the gripper; the colour camera's only where asked
-        for."""
+        """Images one frame later, in a window around the gripper; a colour image only if ``colour``."""
         self._drive.wait(_FRAME_S)
         scene = self.scene()
         depth = scene.depth(self._rng, self.depth, self._window(self.depth), self._sensor)
@@ -94,11 +92,11 @@ class Plant:
 
     @property
     def R_world_object(self) -> Float[np.ndarray, "3 3"]:
-        """The object's orientation, by true forward kinematics and what has slipped."""
-        return (self._drive.true_held() @ self._held.T_tcp_object)[:3, :3]
+        """The object's true orientation, slip included."""
+        return np.asarray((self._drive.true_held() @ self._held.T_tcp_object)[:3, :3])
 
     def scene(self) -> Scene:
-        """All there is, as it is."""
+        """All parts at their true poses."""
         parts = self._drive.true_parts()
         return Scene(parts if self._grasp is None else [*parts, self._object(self._drive.true_held())])
 
@@ -106,10 +104,10 @@ class Plant:
         """The pixels of the depth camera's window whose ray hits the object."""
         return self.scene().shows_object(self.depth, self._window(self.depth))
 
-    def is_seen(self, joints_rad: Float[np.ndarray, " n"], least_share: float) -> bool:
-        """Whether, there, that share of the object's silhouette shows past arm and fingers.
+    def is_visible(self, joints_rad: Float[np.ndarray, " n"], least_share: float) -> bool:
+        """Whether at these joint positions that share of the object's silhouette is not hidden by arm and fingers.
 
-        To the depth camera, and to its projector: what is not lit has no depth.
+        For the depth camera and for its projector, since unlit surface returns no depth.
         """
         thing = self._object(self.arm.tcp(joints_rad))
         alone, among = Scene([thing]), Scene([*self.arm.parts(joints_rad, self.fingers_m), thing])
@@ -122,15 +120,15 @@ class Plant:
         return True
 
     def hold(self, mesh: trimesh.Trimesh, least_share: float = 0.7) -> None:
-        """Put an object, scaled to the gripper, between the fingers, in a random pose in which the camera sees it.
+        """Put an object, scaled to the gripper, between the fingers, at a random pose visible to the camera.
 
-        Raises ReorientError for what cannot be held or cannot be seen.
+        Raises ReorientError if there is no grasp or no visible pose.
         """
         for _ in range(_PLACINGS // 10):
             self._grasp = find_grasp(mesh, self._rng, self.arm.stroke_m)
             for _ in range(10):
-                joints_rad = self._somewhere()
-                if joints_rad is not None and self.is_seen(joints_rad, least_share):
+                joints_rad = self._random_joints()
+                if joints_rad is not None and self.is_visible(joints_rad, least_share):
                     self._drive = Drive(
                         self.arm,
                         joints_rad,
@@ -146,8 +144,8 @@ class Plant:
             "expected an object that reaches out of the fingers"
         )
 
-    def _somewhere(self) -> Float[np.ndarray, " n"] | None:
-        """Joint positions of a random pose, the approach nearly horizontal; None where the arm cannot reach it."""
+    def _random_joints(self) -> Float[np.ndarray, " n"] | None:
+        """Joint positions of a random pose with a nearly horizontal approach; None if it is out of reach."""
         rise = self._rng.uniform(-_STEEPEST_RAD, _STEEPEST_RAD)
         R = so3.exp(self._rng.uniform(-np.pi, np.pi) * np.array([0.0, 0.0, 1.0]))
         R = R @ so3.exp((np.pi / 2 - rise) * np.array([0.0, 1.0, 0.0]))
@@ -158,7 +156,7 @@ class Plant:
             return None
 
     def _load(self) -> Load:
-        """As of a box: meshes may be open or flat."""
+        """The load of a homogeneous box, because meshes can be open or flat."""
         extents_m = np.ptp(self._held.mesh.vertices, axis=0)
         return Load(
             mass_kg=max(_DENSITY_KG_M3 * float(np.prod(extents_m)), 0.005),

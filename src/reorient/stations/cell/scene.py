@@ -1,4 +1,4 @@
-"""What the cell's cameras see: one ray-cast scene of table, arm, fingers and object for depth, colour and truth."""
+"""Images of the cell: one ray-cast scene of table, arm, fingers and object for depth, colour and true masks."""
 
 from collections.abc import Sequence
 
@@ -9,7 +9,7 @@ from numpy.random import Generator
 from reorient import se3
 from reorient.imaging import Camera, DepthImage
 from reorient.perception.calibration import MountedCamera
-from reorient.perception.segmentation import ColorImage
+from reorient.perception.frame import ColorImage
 from reorient.stations.cell.arm import Part, merged
 from reorient.world.rendering import Placement, Renderer
 from reorient.world.sensing import Sensor, sense
@@ -22,20 +22,23 @@ _DOWN = np.array(
     [[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]
 )  # R_world_camera: x to the right, y to the base
 _TILT_RAD = 0.17
-_LIGHTS = ((np.array([0.3, 0.5, 0.8]), 0.55), (np.array([-0.6, -0.5, 0.6]), 0.25))  # towards them, world axes
+_LIGHTS = (
+    (np.array([0.3, 0.5, 0.8]), 0.55),
+    (np.array([-0.6, -0.5, 0.6]), 0.25),
+)  # direction to the light, world axes, and its strength
 _AMBIENT = 0.25
-_NOTHING = 0.1  # brightness where there is nothing
-_RGB_NOISE = 4.0  # levels of 255
+_NOTHING = 0.1  # brightness of the background
+_RGB_NOISE = 4.0  # standard deviation, levels of 255
 NAME = "object"
 
 
 def structured_light(noise_m: float) -> Sensor:
-    """The depth camera's errors: the package's model, its projector farther off than that of a small camera."""
+    """The sensor model of the depth camera, with a projector farther away than that of a small camera."""
     return Sensor(dropout=0.005, noise_m=noise_m, grazing_cos=0.12, flying=0.1, projector_m=PROJECTOR_M)
 
 
 def mounted_above(place_m: Float[np.ndarray, "3"], height_m: float = 0.81) -> tuple[MountedCamera, MountedCamera]:
-    """Depth and colour camera above a place in the world."""
+    """Depth and colour camera above a position in the world."""
     depth = np.array([place_m[0], place_m[1], height_m])
     c, s = np.cos(_TILT_RAD), np.sin(_TILT_RAD)
     tilted = _DOWN @ np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
@@ -46,12 +49,12 @@ def mounted_above(place_m: Float[np.ndarray, "3"], height_m: float = 0.81) -> tu
 
 
 def projector_of(depth: MountedCamera) -> MountedCamera:
-    """The depth camera's projector, as an eye that sees what it lights."""
+    """The depth camera's projector as a camera, whose image shows the lit surface."""
     return MountedCamera(depth.camera, depth.T_world_camera @ se3.transform(np.eye(3), np.array(PROJECTOR_M)))
 
 
 def observer(tool_m: Float[np.ndarray, "3"], size_px: int) -> MountedCamera:
-    """A camera that shows the whole arm at work, for pictures of the cell: square, from the robot's right front."""
+    """A square camera at the robot's right front that shows the whole arm, for pictures of the cell."""
     eye = tool_m + np.array([0.55, -0.75, 0.5])
     forward = tool_m + np.array([-0.05, 0.0, 0.04]) - eye
     right = np.cross(forward, [0.0, 0.0, 1.0])
@@ -61,7 +64,7 @@ def observer(tool_m: Float[np.ndarray, "3"], size_px: int) -> MountedCamera:
 
 
 def window(mounted: MountedCamera, center_m: Float[np.ndarray, "3"], reach_m: float) -> Camera:
-    """The part of a camera's image that shows a sphere in the world."""
+    """The window of a camera's image that shows a sphere of radius ``reach_m`` in the world."""
     x, y, z = se3.apply(mounted.T_camera_world, center_m)
     camera = mounted.camera
     pixel = camera.project(np.array([x, y, z]))
@@ -83,16 +86,16 @@ class Scene:
         self._renderer = Renderer(mesh)
 
     def depth(self, rng: Generator, mounted: MountedCamera, camera: Camera, sensor: Sensor) -> DepthImage:
-        """As the depth camera sees it; ``camera``: the mounted one or a window of it."""
+        """Image of the depth camera; ``camera``: the mounted one or a window of it."""
         return sense(rng, self._renderer, camera, *self._pose(mounted), sensor)
 
     def color(self, mounted: MountedCamera, camera: Camera, rng: Generator | None = None) -> ColorImage:
-        """As the colour camera sees it: Lambert's law under two lights, and noise unless ``rng`` is None."""
+        """Image of the colour camera: Lambertian shading under two lights, with noise unless ``rng`` is None."""
         R, placement = self._pose(mounted)
         face = self._renderer.faces(camera, R, placement)
         normals = self._renderer.mesh.face_normals[face]
         away = np.sum(normals * (camera.rays() @ R), axis=-1, keepdims=True) > 0
-        normals = np.where(away, -normals, normals)  # both sides of a triangle are seen
+        normals = np.where(away, -normals, normals)  # both sides of a triangle are visible
         light = _AMBIENT + sum(
             strength * np.maximum(normals @ (direction / np.linalg.norm(direction)), 0)
             for direction, strength in _LIGHTS
@@ -103,9 +106,9 @@ class Scene:
         return ColorImage(np.clip(rgb, 0, 255).astype(np.uint8), camera)
 
     def shows_object(self, mounted: MountedCamera, camera: Camera) -> Bool[np.ndarray, "h w"]:
-        """The pixels whose ray hits the object first: the truth, for scoring masks and for placing objects."""
+        """The pixels whose ray hits the object first: the true mask, for scoring and for placing objects."""
         face = self._renderer.faces(camera, *self._pose(mounted))
-        return self._is_object[face] & (face >= 0)
+        return np.asarray(self._is_object[face] & (face >= 0))
 
     def _pose(self, mounted: MountedCamera) -> tuple[Float[np.ndarray, "3 3"], Placement]:
         T = mounted.T_camera_world

@@ -1,4 +1,4 @@
-"""The station over a simulated cell: it knows what a real one would, encoders, images and a calibration a bit off."""
+"""The station of the simulated cell: encoders, images and a slightly wrong calibration, as in a real cell."""
 
 from dataclasses import dataclass, field, replace
 
@@ -11,16 +11,16 @@ from reorient.errors import ReorientError, StationError, unknown_name
 from reorient.imaging import DepthImage
 from reorient.perception.calibration import Calibration, MountedCamera
 from reorient.perception.colour import ColourRange
-from reorient.perception.recalibration import corrected
+from reorient.perception.frame import Frame
+from reorient.perception.recalibration import corrected_calibration
 from reorient.perception.segmentation import (
     ByColour,
     ByShape,
-    Frame,
     Segmentation,
     isolate_object,
     learn_gripper_colour,
 )
-from reorient.stations.cell.arm import merged, turned
+from reorient.stations.cell.arm import merged, rotated_pose
 from reorient.stations.cell.plant import Plant, PlantConfig
 
 SEGMENTATIONS = ("shape", "colour")
@@ -28,18 +28,20 @@ SEGMENTATIONS = ("shape", "colour")
 
 @dataclass(frozen=True)
 class CellConfig:
-    """What the station is given. Raises ReorientError for an unknown segmentation."""
+    """Parameters of the station. Raises ReorientError for an unknown segmentation."""
 
     plant: PlantConfig = field(default_factory=PlantConfig)
-    """What the cell is really like."""
+    """Parameters of the true cell."""
     segmentation: str = "shape"
-    """How the gripper is removed: by its known shape, or by its colour as in the paper."""
+    """Segmentation that removes the gripper: by its known shape, or by its colour as in the paper."""
     gripper_colour: ColourRange | None = None
     """None: learned from a frame of the empty gripper."""
     calibration: Calibration | None = None
-    """None: the true one, wrong by ``astray_m`` and ``astray_rad`` for each camera."""
-    astray_m: float = 0.001
-    astray_rad: float = float(np.radians(0.3))
+    """None: the true one, perturbed for each camera by ``calibration_error_m`` and ``calibration_error_rad``."""
+    calibration_error_m: float = 0.001
+    """Translation of a camera from its true position, in a random direction."""
+    calibration_error_rad: float = float(np.radians(0.3))
+    """Rotation of a camera from its true orientation, about a random axis."""
 
     def __post_init__(self) -> None:
         if self.segmentation not in SEGMENTATIONS:
@@ -47,9 +49,9 @@ class CellConfig:
 
 
 class SimulatedCell:
-    """One arm below two cameras. ``plant`` is the truth: ``plant.hold(mesh)`` puts an object into the gripper.
+    """One arm below two cameras. ``plant`` is the true state: ``plant.hold(mesh)`` puts an object into the gripper.
 
-    Made with the gripper empty: the first frame of it corrects the calibration and teaches the gripper's colour.
+    It starts with an empty gripper. The first frame corrects the calibration and gives the gripper's colour.
     """
 
     def __init__(self, rng: Generator, config: CellConfig | None = None) -> None:
@@ -57,10 +59,10 @@ class SimulatedCell:
         self.plant = Plant(config.plant, rng)
         self.arm = self.plant.arm
         self.calibration = config.calibration or Calibration(
-            *(_astray(camera, config, rng) for camera in (self.plant.depth, self.plant.color))
+            *(_perturbed(camera, config, rng) for camera in (self.plant.depth, self.plant.color))
         )
         empty = self.frame(colour=True)
-        self.calibration = corrected(self.calibration, empty)
+        self.calibration = corrected_calibration(self.calibration, empty)
         self.segmentations: dict[str, Segmentation] = {"shape": ByShape()}
         if self.calibration.color is not None:
             colour = config.gripper_colour or learn_gripper_colour(empty, self.calibration)
@@ -70,27 +72,30 @@ class SimulatedCell:
 
     @property
     def pivot_m(self) -> Float[np.ndarray, "3"]:
-        """The tool centre in camera axes, by encoders and calibration."""
+        """The tool centre in camera axes, metres, from encoders and calibration."""
         return se3.apply(self.calibration.depth.T_camera_world, self.arm.tcp(self.plant.read())[:3, 3])
 
     def capture(self) -> DepthImage:
-        """The object alone, as the cameras see it now."""
+        """Depth of the object alone, now."""
         name = self.config.segmentation
         return isolate_object(self.frame(name == "colour"), self.calibration, self.segmentations[name])
 
     def rotate(self, R_step: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-        """Turn the gripper about the tool centre; returns what the encoders say. Raises StationError out of reach."""
+        """Rotate the gripper about the tool centre. Returns the rotation measured by the encoders, camera axes.
+
+        Raises StationError out of reach.
+        """
         before_rad = self.plant.read()
         self.plant.move(self.plan(R_step))
         R_world = self.arm.tcp(self.plant.read())[:3, :3] @ self.arm.tcp(before_rad)[:3, :3].T
-        return self._R_world_camera.T @ R_world @ self._R_world_camera
+        return np.asarray(self._R_world_camera.T @ R_world @ self._R_world_camera)
 
     def clock_s(self) -> float:
-        """The plant's clock; what frames are stamped with."""
+        """The simulated time, the clock of the stamps."""
         return self.plant.time_s
 
     def reachable(self, R_step: Float[np.ndarray, "3 3"]) -> bool:
-        """Whether ``rotate`` would do it."""
+        """Whether ``rotate`` can execute this rotation."""
         try:
             self.plan(R_step)
         except StationError:
@@ -98,16 +103,16 @@ class SimulatedCell:
         return True
 
     def plan(self, R_step: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, " n"]:
-        """Joint positions after such a turn. Raises StationError where there are none."""
+        """Joint positions after this rotation, camera axes. Raises StationError if there are none."""
         if not so3.is_rotation(np.asarray(R_step)):
             raise StationError("refused to rotate: expected a (3, 3) rotation matrix")
         now_rad = self.plant.read()
         R_step_world = self._R_world_camera @ R_step @ self._R_world_camera.T
-        target = turned(self.arm.tcp(now_rad), R_step_world, self.plant.tool_m)
+        target = rotated_pose(self.arm.tcp(now_rad), R_step_world, self.plant.tool_m)
         return self.arm.solve(target, now_rad, self.plant.fingers_m)
 
     def frame(self, colour: bool) -> Frame:
-        """What cameras and encoders say now; the colour camera is asked only if ``colour``."""
+        """Measurements of cameras and encoders now; a colour image only if ``colour``."""
         depth, color = self.plant.images(colour)
         joints_rad = self.plant.read()
         robot = [part for part in self.arm.parts(joints_rad, self.plant.fingers_m) if part.name != "world"]
@@ -120,10 +125,10 @@ class SimulatedCell:
 
     @property
     def _R_world_camera(self) -> Float[np.ndarray, "3 3"]:
-        return self.calibration.depth.T_world_camera[:3, :3]
+        return np.asarray(self.calibration.depth.T_world_camera[:3, :3])
 
 
-def _astray(camera: MountedCamera, config: CellConfig, rng: Generator) -> MountedCamera:
+def _perturbed(camera: MountedCamera, config: CellConfig, rng: Generator) -> MountedCamera:
     direction, axis = so3.sample_axes(rng, 2)
-    T = se3.transform(so3.exp(axis * config.astray_rad), direction * config.astray_m)
+    T = se3.transform(so3.exp(axis * config.calibration_error_rad), direction * config.calibration_error_m)
     return replace(camera, T_world_camera=camera.T_world_camera @ T)

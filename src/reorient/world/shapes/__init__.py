@@ -1,8 +1,8 @@
-"""Novel objects, made by rule: a family of constructions, random details, one closed surface.
+"""Procedurally generated objects: a family of constructions, random details, one closed surface.
 
-``generate(seed, index)`` is object ``index`` of an endless series. Families are rules for what a household holds, from
-machine parts to furniture, vessels, tools, vehicles, plants and animals; each draws its own proportions. Objects stand
-with z up, as modelled objects do; lengths are arbitrary until the object is scaled to unit radius.
+``generate(seed, index)`` is object ``index`` of an endless series. Families are construction rules for household
+objects, from machine parts to furniture, vessels, tools, vehicles, plants and animals; each draws its own proportions.
+Objects stand with z up; lengths are arbitrary until the object is scaled to unit radius.
 """
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.random import Generator
 from reorient.errors import ReorientError
 from reorient.world.meshes import check_surface, scale_to_radius
 from reorient.world.shapes.compounds import Family, assembly, drawn, is_solid, mirrored
+from reorient.world.shapes.deformations import bent, detailed, lumpy
 from reorient.world.shapes.furniture import chair, frame, relief_panel, shelves, table, upholstery
 from reorient.world.shapes.living import branches, creature, plant
 from reorient.world.shapes.parts import (
@@ -29,7 +30,10 @@ from reorient.world.shapes.parts import (
     tray,
     turned_part,
 )
-from reorient.world.shapes.solids import bent, chance, detailed, extents, lumpy
+from reorient.world.shapes.solids import (
+    chance,
+    extents,
+)
 from reorient.world.shapes.things import appliance, bottle, flyer, hand_tool, lamp, mechanism, vehicle, vessel
 
 MAX_FACES = 5000
@@ -72,12 +76,12 @@ FAMILIES: tuple[Family, ...] = (
 
 
 def largest_part(solid: Manifold) -> Manifold:
-    """The connected part with the largest box; the rest is dropped."""
+    """The connected part with the largest bounding box."""
     return max(solid.decompose(), key=lambda part: float(np.prod(extents(part))), default=solid)
 
 
 def varied(rng: Generator, solid: Manifold) -> Manifold:
-    """With details that break its symmetry (mostly), bent or warped (sometimes), stretched along each axis."""
+    """The solid with details that break its symmetry (often), bent or warped (sometimes), stretched along each axis."""
     if chance(rng, 0.55):
         solid = detailed(rng, solid, int(rng.integers(1, 4)))
     if chance(rng, 0.15):
@@ -88,7 +92,7 @@ def varied(rng: Generator, solid: Manifold) -> Manifold:
 
 
 def within_limits(solid: Manifold) -> Manifold:
-    """Thickened along flat axes to the largest aspect, simplified or refined to the face counts."""
+    """The solid thickened to the largest allowed aspect, and simplified or refined to the allowed number of faces."""
     size = extents(solid)
     solid = solid.scale(np.maximum(1.0, size.max() / (MAX_ASPECT * size)))
     while solid.num_tri() < MIN_FACES:
@@ -100,15 +104,15 @@ def within_limits(solid: Manifold) -> Manifold:
 
 
 def generate(seed: int, index: int) -> trimesh.Trimesh:
-    """Object ``index`` of the series of this seed: closed, of unit radius around the centre of its bounding box.
+    """Object ``index`` of the series of this seed: a closed mesh of unit radius about the centre of its bounding box.
 
-    The same arguments give the same bytes. ``metadata`` has its ``name`` and ``family``. Raises ReorientError for a
+    The same arguments give the same bytes. ``metadata`` contains ``name`` and ``family``. Raises ReorientError for a
     negative seed or index.
     """
     if seed < 0 or index < 0:
         raise ReorientError(f"generated object of seed {seed}, index {index}: expected both to be at least 0")
     rng = np.random.default_rng([seed, index])
-    while True:  # variation, too, can make a sliver or too many faces
+    while True:  # the variation, too, can produce a sliver or too many faces
         family, solid = drawn(rng, FAMILIES)
         solid = largest_part(varied(rng, solid))
         if is_solid(solid) and (solid := within_limits(solid)).num_tri() <= MAX_FACES:

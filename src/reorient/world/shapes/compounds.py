@@ -1,4 +1,4 @@
-"""One object drawn from some families, and the families made of objects of other families."""
+"""Drawing from families, and families composed of objects of other families."""
 
 from collections.abc import Callable, Sequence
 
@@ -6,6 +6,7 @@ import numpy as np
 from manifold3d import Manifold
 from numpy.random import Generator
 
+from reorient.world.shapes.deformations import randomly_rotated, surface_points
 from reorient.world.shapes.living import branches
 from reorient.world.shapes.parts import (
     array,
@@ -18,14 +19,20 @@ from reorient.world.shapes.parts import (
     tray,
     turned_part,
 )
-from reorient.world.shapes.solids import box, extents, fit, random_turn, surface_points, tilt, union
+from reorient.world.shapes.solids import (
+    box,
+    extents,
+    fit,
+    tilt,
+    union,
+)
 from reorient.world.shapes.things import mechanism
 
 Family = Callable[[Generator], Manifold]
 
 
 def is_solid(solid: Manifold) -> bool:
-    """Whether there is something to look at: not empty, no sliver, not next to no volume."""
+    """Whether the solid is usable: not empty, no sliver, not almost without volume."""
     if solid.is_empty() or not np.all(np.isfinite(solid.bounding_box())):
         return False
     size = extents(solid)
@@ -33,7 +40,7 @@ def is_solid(solid: Manifold) -> bool:
 
 
 def drawn(rng: Generator, families: Sequence[Family]) -> tuple[Family, Manifold]:
-    """One of these families and an object of it; a draw that comes out degenerate is drawn again."""
+    """A random family and an object of it; a degenerate object is drawn again."""
     while True:
         family = families[int(rng.integers(len(families)))]
         solid = family(rng)
@@ -44,7 +51,7 @@ def drawn(rng: Generator, families: Sequence[Family]) -> tuple[Family, Manifold]
 def mirrored(rng: Generator) -> Manifold:
     """A half and its mirror image: masks, spectacles, clamps, toys."""
     _, half = drawn(rng, (cluster, bent_pipe, crossed_profiles, branches, pebble))
-    half = fit(random_turn(rng, half), rng.uniform(0.5, 1.2, 3))
+    half = fit(randomly_rotated(rng, half), rng.uniform(0.5, 1.2, 3))
     # pushed through the mirror plane, so that the halves join
     half = half.translate((rng.uniform(0.1, 0.9) * float(extents(half)[0]) / 2, 0, 0)).trim_by_plane((1, 0, 0), 0.0)
     bridge = box((0.3, rng.uniform(0.1, 0.3), rng.uniform(0.1, 0.3)))

@@ -24,7 +24,7 @@ from reorient.world.shapes.solids import (
 
 
 def legs(rng: Generator, width: float, depth: float, top: float, thick: float) -> Manifold:
-    """What carries a seat or slab whose underside is at height ``top``: legs, a pedestal or panels."""
+    """The support of a seat or slab whose underside is at height ``top``: legs, a pedestal or panels."""
     kind, splay = rng.integers(5), 1 + abs(rng.normal(0, 0.15))
     x, y = width / 2 - thick, depth / 2 - thick
     corners = [(x, y), (-x, y), (-x, -y), (x, -y)]

@@ -1,4 +1,4 @@
-"""Families of what grows: trees, plants, animals."""
+"""Families of living things: trees, plants, animals."""
 
 import numpy as np
 from manifold3d import Manifold
@@ -10,9 +10,9 @@ from reorient.world.shapes.solids import (
     lathe_profile,
     limb,
     ngon,
+    revolved,
     smooth_path,
     sweep,
-    turned,
     union,
 )
 
@@ -27,8 +27,8 @@ def branches(rng: Generator) -> Manifold:
         end = start + direction * length
         parts.append(limb([start, middle, end], (radius, radius * 0.85, radius * 0.7), 6))
         for _ in range(rng.integers(2, 5 - min(depth, 2)) if depth else 0):
-            turn = direction + rng.normal(0, spread, 3)
-            grow(end, turn / np.linalg.norm(turn), length * shrink, radius * 0.7, depth - 1)
+            heading = direction + rng.normal(0, spread, 3)
+            grow(end, heading / np.linalg.norm(heading), length * shrink, radius * 0.7, depth - 1)
 
     grow(np.zeros(3), np.array([0.0, 0.0, 1.0]), rng.uniform(0.3, 0.6), rng.uniform(0.03, 0.1), int(rng.integers(1, 4)))
     if chance(rng, 0.5):
@@ -39,7 +39,7 @@ def branches(rng: Generator) -> Manifold:
 def plant(rng: Generator) -> Manifold:
     """A pot with stems that carry leaves or balls."""
     wide, high = rng.uniform(0.12, 0.3), rng.uniform(0.2, 0.5)
-    parts = [turned(lathe_profile(rng, wide, 0.15) * (1, high), int(rng.choice([4, 8, 24])))]
+    parts = [revolved(lathe_profile(rng, wide, 0.15) * (1, high), int(rng.choice([4, 8, 24])))]
     length, spread, broad = rng.uniform(0.4, 0.9), rng.uniform(0.2, 0.8), rng.uniform(0.15, 0.6)
     for _ in range(rng.integers(2, 11)):
         reach = rng.normal(0, spread, 2) * length

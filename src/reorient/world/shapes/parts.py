@@ -1,29 +1,27 @@
-"""Families of machine parts and plain bodies: turned, milled, bent, swept, cast, worn round."""
+"""Families of machine parts and plain bodies: revolved, milled, bent, swept, cast, rounded."""
 
 import numpy as np
 from manifold3d import CrossSection, Manifold
 from numpy.random import Generator
 
+from reorient.world.shapes.deformations import bent, lumpy, surface_points
 from reorient.world.shapes.solids import (
     ball,
-    bent,
     box,
     chance,
     extents,
     fit,
     lathe_profile,
-    lumpy,
     ngon,
     outline,
     pierced,
     primitive,
+    revolved,
     rod,
     smooth_path,
     soft_box,
-    surface_points,
     sweep,
     tilt,
-    turned,
     union,
 )
 
@@ -63,8 +61,8 @@ def crossed_profiles(rng: Generator) -> Manifold:
         fit(pierced(rng, outline(rng), int(rng.integers(0, 2))).extrude(1.0), np.ones(3))
         for _ in range(rng.integers(2, 4))
     ]
-    for turn, other in zip([(90, 0, 0), (0, 90, 0)], others, strict=False):
-        common = first ^ other.rotate(turn)
+    for rotation_deg, other in zip([(90, 0, 0), (0, 90, 0)], others, strict=False):
+        common = first ^ other.rotate(rotation_deg)
         first = first if common.is_empty() else common
     return first.scale(np.exp(rng.normal(0, 0.35, 3)))
 
@@ -79,10 +77,10 @@ def profile_bar(rng: Generator) -> Manifold:
 
 
 def turned_part(rng: Generator) -> Manifold:
-    """Turned on a lathe, whole or part of the way round, with something off its axis."""
+    """A solid of revolution, complete or a sector of it, often with a peg beside its axis."""
     profile = lathe_profile(rng, float(np.exp(rng.normal(-1.2, 0.5))), 0.5)
     segments = int(rng.choice([6, 12, 32, 40]))
-    solid = turned(profile, segments, rng.uniform(90, 330) if chance(rng, 0.3) else 360.0)
+    solid = revolved(profile, segments, rng.uniform(90, 330) if chance(rng, 0.3) else 360.0)
     widest = float(profile[:, 0].max())
     if chance(rng, 0.4):
         solid = solid.trim_by_plane((-1, rng.normal(0, 0.3), 0), -rng.uniform(0.3, 0.8) * widest)
@@ -99,13 +97,13 @@ def bent_pipe(rng: Generator) -> Manifold:
     """A section swept along a path: hook, helix, wire, ring or loose curve, sometimes with ends."""
     kind = rng.integers(4)
     if kind == 0:  # a helix, from spring to open ring
-        turn = np.linspace(0, rng.uniform(0.7, 4) * 2 * np.pi, 80)
-        grow = 1 + rng.uniform(-0.5, 0.5) * turn / turn[-1]
-        path = np.column_stack([np.cos(turn) * grow, np.sin(turn) * grow, turn * rng.uniform(0.03, 0.2)]) / 2
-        thick = min(0.12, 0.4 * float(path[-1, 2]) / max(1.0, turn[-1] / (2 * np.pi)))
+        angle = np.linspace(0, rng.uniform(0.7, 4) * 2 * np.pi, 80)
+        grow = 1 + rng.uniform(-0.5, 0.5) * angle / angle[-1]
+        path = np.column_stack([np.cos(angle) * grow, np.sin(angle) * grow, angle * rng.uniform(0.03, 0.2)]) / 2
+        thick = min(0.12, 0.4 * float(path[-1, 2]) / max(1.0, angle[-1] / (2 * np.pi)))
     elif kind == 1:  # a hook: a straight shank and an arc
-        turn = np.linspace(0, rng.uniform(0.5, 1.6) * np.pi, 20)
-        arc = rng.uniform(0.2, 0.5) * np.column_stack([1 - np.cos(turn), 0 * turn, np.sin(turn)])
+        angle = np.linspace(0, rng.uniform(0.5, 1.6) * np.pi, 20)
+        arc = rng.uniform(0.2, 0.5) * np.column_stack([1 - np.cos(angle), 0 * angle, np.sin(angle)])
         shank = np.column_stack([np.zeros((8, 2)), np.linspace(-rng.uniform(0.3, 1.2), -0.05, 8)])
         path, thick = np.concatenate([shank, arc]), 0.1
     else:
@@ -194,7 +192,7 @@ def bracket(rng: Generator) -> Manifold:
 
 def array(rng: Generator) -> Manifold:
     """One part repeated on a base in a row, ring or grid, growing or with gaps: rack, brush, keypad, candles."""
-    part = fit(primitive(rng, np.ones(3)) if chance(rng, 0.7) else turned(lathe_profile(rng, 0.3), 12), np.ones(3))
+    part = fit(primitive(rng, np.ones(3)) if chance(rng, 0.7) else revolved(lathe_profile(rng, 0.3), 12), np.ones(3))
     columns, rows = int(rng.integers(2, 7)), int(rng.integers(1, 5))
     if chance(rng, 0.3):
         angle = np.arange(columns + 1) * 2 * np.pi / (columns + 1)

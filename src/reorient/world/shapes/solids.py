@@ -1,7 +1,7 @@
-"""Building blocks of generated objects: primitives, outlines, lathes, sweeps, warps, details.
+"""Building blocks of generated objects: primitives, outlines, solids of revolution, sweeps.
 
-A solid is a ``manifold3d.Manifold``, an outline a ``CrossSection``; lengths are in arbitrary units, objects about 1
-across, z up. What is random is drawn from the generator that is passed in.
+A solid is a ``manifold3d.Manifold``, an outline a ``CrossSection``. Lengths are in arbitrary units; objects are about 1
+across, z up. All random draws come from the ``rng`` argument.
 """
 
 import math
@@ -13,8 +13,6 @@ from manifold3d import CrossSection, Manifold, Mesh64, OpType
 from numpy.random import Generator
 from scipy.interpolate import PchipInterpolator
 
-from reorient import so3
-
 Point = Sequence[float] | np.ndarray
 
 
@@ -24,14 +22,14 @@ def chance(rng: Generator, probability: float) -> bool:
 
 
 def union(parts: Iterable[Manifold]) -> Manifold:
-    """All parts in one."""
+    """The union of all parts."""
     return Manifold.batch_boolean(list(parts), OpType.Add)
 
 
 def extents(solid: Manifold) -> Float[np.ndarray, " 3"]:
     """Side lengths of the bounding box."""
     bounds = np.array(solid.bounding_box())
-    return bounds[3:] - bounds[:3]
+    return np.asarray(bounds[3:] - bounds[:3])
 
 
 def fit(solid: Manifold, size: Point) -> Manifold:
@@ -41,7 +39,7 @@ def fit(solid: Manifold, size: Point) -> Manifold:
 
 
 def tilt(solid: Manifold, direction: Point, at: Point = (0.0, 0.0, 0.0)) -> Manifold:
-    """Turned so that its z axis points along the direction, then moved."""
+    """Rotated so that its z axis points along the direction, then moved."""
     z = np.asarray(direction, float) / np.linalg.norm(direction)
     # the axis least along z, so that an axis-aligned direction keeps the part axis-aligned
     x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
@@ -102,7 +100,7 @@ def primitive(rng: Generator, size: Point) -> Manifold:
     return fit(solid.rotate(90.0 * rng.integers(0, 4, 3)), size)
 
 
-# --- outlines, extruded or turned -----------------------------------------------------------------------------------
+# --- outlines, extruded or revolved ---------------------------------------------------------------------------------
 
 
 def polygon(points: Float[np.ndarray, "n 2"]) -> CrossSection:
@@ -153,7 +151,7 @@ def outline(rng: Generator) -> CrossSection:
 
 
 def pierced(rng: Generator, shape: CrossSection, n: int) -> CrossSection:
-    """The outline with n holes, round, square or slotted, where they fall."""
+    """The outline with n round, square or slotted holes at random positions."""
     low, high = np.reshape(shape.bounds(), (2, 2))
     holes = []
     for _ in range(n):
@@ -165,7 +163,7 @@ def pierced(rng: Generator, shape: CrossSection, n: int) -> CrossSection:
 
 
 def lathe_profile(rng: Generator, mean: float, wobble: float = 0.4, n: int = 14) -> Float[np.ndarray, "{n} 2"]:
-    """Radii (around ``mean``) and heights (0 to 1) of something turned, rounded or in straight steps."""
+    """Radii (around ``mean``) and heights (0 to 1) of a solid of revolution, rounded or in straight steps."""
     knots = int(rng.integers(3, 7))
     z = np.concatenate([[0.0], np.sort(rng.uniform(0.08, 0.92, knots - 2)), [1.0]])
     radii = mean * np.exp(rng.normal(0, wobble, knots))
@@ -180,13 +178,13 @@ def meridian(profile: Float[np.ndarray, "n 2"]) -> CrossSection:
     return polygon(np.concatenate([profile, axis]))
 
 
-def turned(profile: Float[np.ndarray, "n 2"], segments: int = 32, degrees: float = 360.0) -> Manifold:
+def revolved(profile: Float[np.ndarray, "n 2"], segments: int = 32, degrees: float = 360.0) -> Manifold:
     """A solid of revolution about z from radii and rising heights."""
     return meridian(profile).revolve(segments, degrees)
 
 
-def turned_shell(profile: Float[np.ndarray, "n 2"], wall: float, segments: int = 32) -> Manifold:
-    """What ``turned`` makes, hollowed and open at the top."""
+def revolved_shell(profile: Float[np.ndarray, "n 2"], wall: float, segments: int = 32) -> Manifold:
+    """As ``revolved``, hollow and open at the top."""
     inner = profile[profile[:, 1] > profile[0, 1] + wall] - (wall, 0.0)
     inner[:, 0] = np.maximum(inner[:, 0], 0.2 * wall)
     inner[-1, 1] += wall  # cuts through the top rather than flush with it
@@ -199,7 +197,7 @@ def turned_shell(profile: Float[np.ndarray, "n 2"], wall: float, segments: int =
 def smooth_path(knots: Float[np.ndarray, "k 3"], n: int = 24) -> Float[np.ndarray, "{n} 3"]:
     """n points on a smooth curve through the knots."""
     chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(knots, axis=0), axis=1))])
-    return PchipInterpolator(chord, knots)(np.linspace(0, chord[-1], n))
+    return np.asarray(PchipInterpolator(chord, knots)(np.linspace(0, chord[-1], n)))
 
 
 def ngon(sides: int = 10, flat: float = 1.0) -> Float[np.ndarray, "{sides} 2"]:
@@ -242,72 +240,3 @@ def limb(points: Sequence[Point] | np.ndarray, radii: Sequence[float] | np.ndarr
     (start, start_radius), (end, end_radius) = ends
     whole = np.concatenate([start, path, end[::-1]])
     return sweep(whole, ngon(sides), np.concatenate([start_radius, radius, end_radius[::-1]]))
-
-
-# --- deformations and details ---------------------------------------------------------------------------------------
-
-
-def lumpy(rng: Generator, solid: Manifold, strength: float, waves: int = 8, edge: float = 0.1) -> Manifold:
-    """A smooth random warp; ``strength`` is about the largest strain (beyond 1 it would fold), ``edge`` the mesh's."""
-    size = float(extents(solid).max())
-    wave = so3.sample_axes(rng, waves) * 2 * np.pi / (size * rng.uniform(0.3, 1.5, (waves, 1)))
-    shift = so3.sample_axes(rng, waves) * strength / (np.linalg.norm(wave, axis=1, keepdims=True) * np.sqrt(waves))
-    phase = rng.uniform(0, 2 * np.pi, waves)
-    return solid.refine_to_length(edge * size).warp_batch(lambda x: x + np.sin(x @ wave.T + phase) @ shift)
-
-
-def bent(rng: Generator, solid: Manifold) -> Manifold:
-    """Twisted, tapered and curved along its longest axis."""
-    size = extents(solid)
-    solid = fit(solid, size)
-    axis = int(np.argmax(size))
-    a, b = (axis + 1) % 3, (axis + 2) % 3
-    twist, taper, curve = rng.normal(0, 0.5), rng.uniform(-0.4, 0.4), rng.normal(0, 0.3)
-
-    def warp(x: np.ndarray) -> np.ndarray:
-        s = x[:, axis] / size[axis]
-        cos, sin, grow = np.cos(twist * s), np.sin(twist * s), 1 + taper * s
-        y = x.copy()
-        y[:, a] = grow * (cos * x[:, a] - sin * x[:, b]) + curve * size[axis] * s**2
-        y[:, b] = grow * (sin * x[:, a] + cos * x[:, b])
-        return y
-
-    return solid.refine_to_length(0.1 * float(size.max())).warp_batch(warp)
-
-
-def surface_points(rng: Generator, solid: Manifold, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """n points uniform on the surface and their outward normals, each (n, 3)."""
-    mesh = solid.to_mesh64()
-    corners = np.asarray(mesh.vert_properties)[:, :3][np.asarray(mesh.tri_verts).astype(np.int64)]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.linalg.norm(normal, axis=1)
-    face = rng.choice(len(area), n, p=area / area.sum())
-    weight = rng.dirichlet(np.ones(3), n)
-    return np.einsum("nk,nkd->nd", weight, corners[face]), normal[face] / area[face, None]
-
-
-def detailed(rng: Generator, solid: Manifold, n: int) -> Manifold:
-    """With n bosses, knobs, pegs, fins, notches or holes of visible size on the surface: what breaks a symmetry."""
-    size = float(np.sort(extents(solid))[1:].mean())
-    points, normals = surface_points(rng, solid, n)
-    for point, normal in zip(points, normals, strict=True):
-        r = size * rng.uniform(0.06, 0.16)
-        kind = rng.integers(6)
-        if kind == 0:
-            solid += tilt(primitive(rng, r * rng.uniform(0.8, 2.4, 3)), normal, point)
-        elif kind == 1:
-            solid += rod(point - normal * r, point + normal * r * rng.uniform(0.8, 3), r * rng.uniform(0.3, 0.8))
-        elif kind == 2:
-            solid += limb([point, point + normal * r * rng.uniform(1, 2.5)], r * np.array([0.4, rng.uniform(0.5, 1.1)]))
-        elif kind == 3:
-            solid += tilt(box((r * 0.35, r * 3, r * 2.2)), normal, point)
-        elif kind == 4:
-            solid -= tilt(primitive(rng, r * rng.uniform(1.2, 2.8, 3)), normal, point)
-        else:
-            solid -= rod(point + normal * r, point - normal * size, r * rng.uniform(0.6, 1.2))
-    return solid
-
-
-def random_turn(rng: Generator, solid: Manifold) -> Manifold:
-    """Turned by a uniform rotation."""
-    return solid.transform(np.column_stack([so3.sample_uniform(rng, 1)[0], np.zeros(3)]))

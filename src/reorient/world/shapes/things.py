@@ -1,4 +1,4 @@
-"""Families of things in use: vessels, tools, mechanisms, vehicles, lamps, appliances."""
+"""Families of artefacts: vessels, tools, mechanisms, vehicles, lamps, appliances."""
 
 import numpy as np
 from manifold3d import CrossSection, Manifold
@@ -18,23 +18,23 @@ from reorient.world.shapes.solids import (
     pierced,
     polygon,
     primitive,
+    revolved,
+    revolved_shell,
     rod,
     smooth_path,
     soft_box,
     sweep,
     tilt,
-    turned,
-    turned_shell,
     union,
 )
 
 
 def vessel(rng: Generator) -> Manifold:
-    """Mug, jug, vase, pan or watering can: a turned shell with a handle and a spout or neither."""
+    """Mug, jug, vase, pan or watering can: a revolved shell, with or without a handle and a spout."""
     wide = float(np.exp(rng.normal(-1.0, 0.35)))
     profile = lathe_profile(rng, wide, 0.25)
-    solid = turned_shell(profile, wide * rng.uniform(0.08, 0.18), int(rng.choice([8, 32, 40])))
-    room = turned(profile * (0.85, 0.95) + (0, 0.1), 32)
+    solid = revolved_shell(profile, wide * rng.uniform(0.08, 0.18), int(rng.choice([8, 32, 40])))
+    room = revolved(profile * (0.85, 0.95) + (0, 0.1), 32)
     kind, grip = rng.integers(4), wide * rng.uniform(0.08, 0.16)
     low, high = np.sort(rng.uniform(0.1, 0.95, 2))
     inner, outer = np.interp([low, high], profile[:, 1], profile[:, 0]) * 0.95
@@ -82,7 +82,7 @@ def hand_tool(rng: Generator) -> Manifold:
     """A handle with a head: hammer, spoon, spatula, fork, spanner, screwdriver, brush."""
     length, grip = rng.uniform(0.6, 1.3), rng.uniform(0.04, 0.1)
     profile = lathe_profile(rng, grip, 0.2) * (1, length)
-    solid = turned(profile, int(rng.choice([6, 16]))).scale((1, rng.uniform(0.5, 1), 1))
+    solid = revolved(profile, int(rng.choice([6, 16]))).scale((1, rng.uniform(0.5, 1), 1))
     width, kind = rng.uniform(0.15, 0.4), rng.integers(6)
     if kind == 0:
         head = union([box((width, 0.12, 0.14)), rod((0, 0, 0), (width, 0, rng.uniform(-0.1, 0.1)), 0.08, 0.1, 16)])
@@ -208,7 +208,7 @@ def lamp(rng: Generator) -> Manifold:
         wide = rng.uniform(0.15, 0.35)
         low, high = wide * rng.uniform(0.6, 1.1), wide * rng.uniform(0.3, 0.9)
         profile = np.column_stack([np.linspace(high, low, 12), np.linspace(0, 1, 12) * rng.uniform(0.2, 0.45)])
-        shade = turned_shell(profile, 0.03, 24) if chance(rng, 0.7) else ball(wide, sides=16)
+        shade = revolved_shell(profile, 0.03, 24) if chance(rng, 0.7) else ball(wide, sides=16)
         parts.append(tilt(shade, (*(rng.normal(0, 0.5, 2) + lean), rng.choice([-1, 1, -0.5])), path[-1]))
     return union(parts)
 
