@@ -1,4 +1,4 @@
-"""Do the alternatives tell symmetry? Whether they hold the true rotation where the object has others that look alike.
+"""Do the alternatives cover symmetry: do they include the true rotation where others are equivalent?
 
     python benchmarks/alternatives.py results/alternatives.csv.gz --meshes FOLDER
 
@@ -14,9 +14,9 @@ import numpy as np
 import trimesh
 import tyro
 from rich.progress import track
+from scipy.stats import binomtest
 
 from reorient import load_estimator, so3
-from reorient.reporting.rows import wilson
 from reorient.reporting.trust import CORRECT_DEG
 from reorient.runs.files import make_folder, write_table
 from reorient.world.objects import ObjectSource
@@ -44,17 +44,8 @@ class Alternatives:
 def main(config: Alternatives) -> None:
     """All pairs, then the summary."""
     make_folder(config.out.parent)
-    source, world, estimator = config.source.open(), load_world("benchmark"), load_estimator()
-    meshes: dict[str, list[tuple[str, trimesh.Trimesh, SymmetryGroup]]] = {"finite": [], "none": []}
-    for name in sorted(source.names, key=lambda name: zlib.crc32(f"alternatives {name}".encode())):
-        mesh = source.load(name)
-        group = rotation_group(mesh)
-        finite = len(group.rotations) > 1 and not len(group.axes) and not group.spherical
-        kind = "finite" if finite else "none" if is_distinctive(mesh) else None
-        if kind and len(meshes[kind]) < config.objects:
-            meshes[kind].append((name, mesh, group))
-        if min(map(len, meshes.values())) == config.objects:
-            break
+    world, estimator = load_world("benchmark"), load_estimator()
+    meshes = _chosen(config)
     rows = []
     for kind, chosen in meshes.items():
         for name, mesh, group in track(chosen, kind):
@@ -91,8 +82,24 @@ def main(config: Alternatives) -> None:
             ),
             ("no alternatives", [row["alternatives"] == 0 for row in mine]),
         ):
-            low, high = wilson(sum(hits), len(hits))
+            low, high = binomtest(sum(hits), len(hits)).proportion_ci(method="wilson")
             print(f"{kind}: {what}: {np.mean(hits):.1%} ({low:.0%}-{high:.0%}) of {len(hits)}")
+
+
+def _chosen(config: Alternatives) -> dict[str, list[tuple[str, trimesh.Trimesh, SymmetryGroup]]]:
+    """As many objects with a finite symmetry group as without symmetry."""
+    source = config.source.open()
+    meshes: dict[str, list[tuple[str, trimesh.Trimesh, SymmetryGroup]]] = {"finite": [], "none": []}
+    for name in sorted(source.names, key=lambda name: zlib.crc32(f"alternatives {name}".encode())):
+        mesh = source.load(name)
+        group = rotation_group(mesh)
+        finite = len(group.rotations) > 1 and not len(group.axes) and not group.spherical
+        kind = "finite" if finite else "none" if is_distinctive(mesh) else None
+        if kind and len(meshes[kind]) < config.objects:
+            meshes[kind].append((name, mesh, group))
+        if min(map(len, meshes.values())) == config.objects:
+            break
+    return meshes
 
 
 if __name__ == "__main__":

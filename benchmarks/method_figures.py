@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -19,7 +20,6 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from reorient import Camera, DepthImage, Fusing, load_estimator, orient, so3
-from reorient.controller.hypotheses import SAME_RAD
 from reorient.estimators.polish import covariance_rad2, polish
 from reorient.estimators.search import EFFORTS, Effort, perturb_and_select, propose, search
 from reorient.estimators.verifier import features, load_verifier
@@ -53,7 +53,7 @@ CLASSES = {
     "occluded": OCCLUDED,
 }
 WIDTH_IN, DPI, COLOURS = 7.6, 110, 128
-STYLE = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False}
+STYLE: Any = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False}
 OBJECT, SEED = 6, 3  # of the generator's sequence 0; of the pair
 LOOP = 1  # object and seed of the closed loop
 
@@ -215,7 +215,7 @@ def draw_weights() -> Figure:
 
 
 def draw_pivot_prior() -> Figure:
-    """How far a rotation about z may move an uncertain pivot: two standard deviations, across and along the axis."""
+    """How far a rotation may move an uncertain pivot: two standard deviations, across and along the axis."""
     figure, axes = _figure(2, 2.7)
     prior = PivotPrior(0.2, np.array([0, 0, 0.6]), np.array([0, 0, 0.6]), True)
     circle = np.stack([np.cos(np.linspace(0, 2 * np.pi, 181)), np.sin(np.linspace(0, 2 * np.pi, 181))])
@@ -229,11 +229,11 @@ def draw_pivot_prior() -> Figure:
     axes[0].set_xlabel("across the axis / mm")
     axes[0].set_ylabel("along the axis / mm")
     axes[0].legend(title="rotation", fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    degrees = np.linspace(0, 180, 91)
-    R = so3.exp(np.stack([0 * degrees, np.radians(degrees), 0 * degrees], axis=1))
+    angle_deg = np.linspace(0, 180, 91)
+    R = so3.exp(np.radians(angle_deg)[:, None] * np.array([0.0, 1.0, 0.0]))
     for shift_mm, colour in ((5, INLIER), (10, SILHOUETTE), (20, FREE_SPACE)):
         t_m = prior.translations(R) + np.array([shift_mm / 1000, 0, 0])
-        axes[1].plot(degrees, prior.mahalanobis2(R, t_m), color=colour, label=f"{shift_mm} mm")
+        axes[1].plot(angle_deg, prior.mahalanobis2(R, t_m), color=colour, label=f"{shift_mm} mm")
     axes[1].set_xlabel("rotation / degrees")
     axes[1].set_ylabel("$d^2$")
     axes[1].set_yscale("log")
@@ -362,7 +362,7 @@ def draw_belief() -> Figure:
         belief = belief.updated(step)
         for hypothesis in belief.hypotheses:
             away = [float(so3.angle_difference(hypothesis.R_goal_start, R)) for R, _ in tracks]
-            if not away or min(away) > SAME_RAD:
+            if not away or min(away) > belief.settings.same_rad:
                 tracks.append((hypothesis.R_goal_start, []))
                 away.append(0.0)
             tracks[int(np.argmin(away))][1].append((step.index, hypothesis.log_odds))

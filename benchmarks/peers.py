@@ -14,13 +14,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import tyro
-from registration import Fast, Features, Kiss, Peer, Ransac, Starts, optional
 from rich.console import Console
 
+from registration import Fast, Features, Kiss, Peer, Ransac, Starts, optional
 from reorient.cli.progress import show_progress
 from reorient.errors import ReorientError
 from reorient.experiments.evaluation import Evaluation, evaluate
 from reorient.reporting import print_tables, read_rows
+from reorient.runs.pool import Pool
 
 PEERS = {
     "gicp120": Peer(Starts(), coarse=True),
@@ -31,7 +32,7 @@ PEERS = {
 NEEDS = {"kiss-matcher": "kiss_matcher", "fpfh-ransac": "open3d", "fgr": "open3d"}
 TUNING = (
     {
-        "gicp120, best by agreement": Peer(Starts(), coarse=True),
+        "gicp120, best by score": Peer(Starts(), coarse=True),
         "gicp120, best by inliers": Peer(Starts(), "inliers", coarse=True),
         "gicp120, middles on each other": Peer(Starts(behind=0.0), coarse=True),
         "gicp120, not coarse first": Peer(Starts()),
@@ -78,7 +79,7 @@ class Peers:
     )
     tuning: bool = False
     """Instead of the named estimators, all variants of those among them that are peers."""
-    workers: int = 1
+    pool: Pool = field(default_factory=Pool)
 
 
 def main(config: Peers) -> None:
@@ -97,7 +98,7 @@ def main(config: Peers) -> None:
         names = list(own)
     own = {name: own[name] for name in names if name in own}
     asked = replace(config.config, estimators=tuple(names))
-    show_progress("pairs", evaluate(asked, config.out, config.workers, own))
+    show_progress("pairs", evaluate(asked, config.out, config.pool, own))
     print_tables(read_rows(config.out), Console(width=140))
     for name, why in missing.items():
         print(f"{name}: not installable here: {why}")

@@ -1,6 +1,6 @@
 """Global registration by others, as estimators: a proposal each, then GICP (small_gicp) as ``gicp`` refines its own.
 
-All lengths are in sizes: the diagonal of what is seen, as for the package's own estimators.
+All lengths are relative to the object diameter, as for the package's own estimators.
 """
 
 from dataclasses import dataclass, field
@@ -13,11 +13,15 @@ from jaxtyping import Float
 
 from reorient import so3
 from reorient.errors import ReorientError
-from reorient.estimators.base import History, RotationEstimate, check_pair
-from reorient.estimators.gicp import COARSE, FEWEST_POINTS, FINE, FINE_TOLERANCE, MIDDLE, Stage
+from reorient.estimators.base import History, RotationEstimate, check_pair, with_evidence
+from reorient.estimators.gicp import COARSE, FINE, MIDDLE, Settings, Stage
+from reorient.estimators.polish import FEWEST_POINTS
 from reorient.imaging import DepthImage
-from reorient.registration.evidence import View, agreement, size_m, weigh
+from reorient.registration import DepthView, Hypotheses
+from reorient.registration.evidence import score
 
+TOLERANCE = Settings().tolerance  # of the score, as of ``gicp``
+POINTS = 4000  # of each image, for the score
 Points = Float[np.ndarray, "_ 3"]
 Motions = Float[np.ndarray, "k 4 4"]
 """T_goal_current, camera axes."""
@@ -26,8 +30,8 @@ Motions = Float[np.ndarray, "k 4 4"]
 class Proposal(Protocol):
     """Motions that may take one cloud to the other."""
 
-    def __call__(self, current: Points, goal: Points, size: float) -> Motions:
-        """From the points of the two images, metres, camera axes; ``size`` is the length that counts as one."""
+    def __call__(self, current: Points, goal: Points, diameter_m: float) -> Motions:
+        """From the points of the two images, metres, camera axes; ``diameter_m``: of the object."""
         ...
 
 
@@ -52,15 +56,15 @@ def _open3d() -> Any:
 
 @dataclass(frozen=True)
 class Starts:
-    """GICP from rotations spread over SO(3), the middles of what is seen on each other."""
+    """GICP from rotations spread over SO(3), the centroids of both clouds on each other."""
 
     count: int = 120
     behind: float = 0.12
-    """How far behind that middle the object's own is taken to be, in sizes."""
+    """Distance behind that centroid where the object's own is assumed."""
 
-    def __call__(self, current: Points, goal: Points, size: float) -> Motions:
+    def __call__(self, current: Points, goal: Points, diameter_m: float) -> Motions:
         """All starts."""
-        back = np.array([0.0, 0.0, self.behind * size])
+        back = np.array([0.0, 0.0, self.behind * diameter_m])
         R = so3.grid(self.count)
         T = np.tile(np.eye(4), (len(R), 1, 1))
         T[:, :3, :3], T[:, :3, 3] = R, goal.mean(axis=0) + back - R @ (current.mean(axis=0) + back)
@@ -72,7 +76,7 @@ class Kiss:
     """KISS-Matcher (Lim et al., ICRA 2025): FasterPFH, pruning by a graph, graduated non-convexity."""
 
     voxel: float = 0.02
-    """In sizes, as all lengths here."""
+    """Relative to the object diameter."""
     normal_gain: float = 3.0
     """Radius of the normals, in voxels."""
     feature_gain: float = 5.0
@@ -80,10 +84,10 @@ class Kiss:
     noise_gain: float = 1.0
     """Noise bound of the pruning, in voxels; the solver's is three quarters of it."""
 
-    def __call__(self, current: Points, goal: Points, size: float) -> Motions:
+    def __call__(self, current: Points, goal: Points, diameter_m: float) -> Motions:
         """One motion."""
         kiss = optional("kiss_matcher")
-        unit = size * self.voxel  # lengths in voxels: it is made for scenes of metres
+        unit = diameter_m * self.voxel  # lengths in voxels: it is made for scenes of metres
         config = kiss.KISSMatcherConfig(
             1.0,
             normal_r_gain=self.normal_gain,
@@ -102,7 +106,7 @@ class Kiss:
 
 @dataclass(frozen=True)
 class Features:
-    """Points and FPFH features of a cloud as open3d makes them; lengths in sizes."""
+    """Points and FPFH features of a cloud as open3d makes them."""
 
     voxel: float = 0.03
     normal_gain: float = 2.0
@@ -110,10 +114,10 @@ class Features:
     feature_gain: float = 8.0
     """Radius of the features, in voxels."""
 
-    def of(self, points: Points, size: float) -> tuple[Any, Any]:
+    def of(self, points: Points, diameter_m: float) -> tuple[Any, Any]:
         """The cloud at the voxel's resolution, normals towards the camera, and its features."""
         open3d = _open3d()
-        voxel_m = self.voxel * size
+        voxel_m = self.voxel * diameter_m
         cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points)).voxel_down_sample(voxel_m)
         near = open3d.geometry.KDTreeSearchParamHybrid
         cloud.estimate_normals(near(self.normal_gain * voxel_m, 30))
@@ -133,12 +137,12 @@ class Ransac:
     """Only pairs that are each other's nearest."""
     iterations: int = 100_000
 
-    def __call__(self, current: Points, goal: Points, size: float) -> Motions:
+    def __call__(self, current: Points, goal: Points, diameter_m: float) -> Motions:
         """One motion; the same for the same points."""
         open3d = _open3d()
         registration = open3d.pipelines.registration
-        (source, of_source), (target, of_target) = (self.features.of(x, size) for x in (current, goal))
-        distance_m = self.distance_gain * self.features.voxel * size
+        (source, of_source), (target, of_target) = (self.features.of(x, diameter_m) for x in (current, goal))
+        distance_m = self.distance_gain * self.features.voxel * diameter_m
         found = registration.registration_ransac_based_on_feature_matching(
             source,
             target,
@@ -165,11 +169,11 @@ class Fast:
     alike: float = 0.9
     """How nearly a triple of correspondences must have sides of the same lengths in both clouds."""
 
-    def __call__(self, current: Points, goal: Points, size: float) -> Motions:
+    def __call__(self, current: Points, goal: Points, diameter_m: float) -> Motions:
         """One motion; the same for the same points."""
         open3d = _open3d()
         registration = open3d.pipelines.registration
-        (source, of_source), (target, of_target) = (self.features.of(x, size) for x in (current, goal))
+        (source, of_source), (target, of_target) = (self.features.of(x, diameter_m) for x in (current, goal))
         found = registration.registration_fgr_based_on_feature_matching(
             source,
             target,
@@ -185,8 +189,8 @@ class Peer:
     """A proposal, GICP from all of its motions, and the one that is best."""
 
     propose: Proposal
-    best_by: str = "agreement"
-    """What is best of several: agreement (``gicp``'s: free space and silhouettes count too), or GICP's inliers."""
+    best_by: str = "score"
+    """What is best of several: the score (free space and silhouettes count, too), or GICP's number of inliers."""
     coarse: bool = False
     """Whether a coarse alignment comes before the middle and the fine one: for proposals far from the truth."""
 
@@ -200,27 +204,30 @@ class Peer:
         """As ``Estimator.estimate``; neither the pivot nor the history is used."""
         check_pair(current, goal, pivot_m)
         source, target = current.points(), goal.points()
-        size = max(size_m(source), size_m(target))
-        motions = self.propose(source, target, size)
+        views = DepthView(current), DepthView(goal)
+        diameter_m = max(view.diameter_m for view in views)
+        motions = self.propose(source, target, diameter_m)
         if not np.all(np.isfinite(motions)):
             raise ReorientError("the proposal is no motion: expected finite numbers (too few correspondences?)")
         for stage in (COARSE, MIDDLE) if self.coarse else (MIDDLE,):
-            motions, inliers = aligned(source, target, motions, stage, size)
-        views = View(current), View(goal)
+            motions, inliers = aligned(source, target, motions, stage, diameter_m)
         if len(motions) > 1:
-            R, t_m = motions[:, :3, :3], motions[:, :3, 3]
-            score = inliers if self.best_by == "inliers" else agreement(*views, R, t_m, FINE_TOLERANCE * size)
-            motions = motions[[np.argmax(score)]]
-        (T,), _ = aligned(source, target, motions, FINE, size)
+            if self.best_by == "score":
+                hypotheses = Hypotheses(motions[:, :3, :3], motions[:, :3, 3])
+                inliers = score(*views, hypotheses, TOLERANCE * diameter_m, POINTS)
+            motions = motions[[np.argmax(inliers)]]
+        (T,), _ = aligned(source, target, motions, FINE, diameter_m)
         R = so3.matrix_from_quat(so3.quat_from_matrix(T[:3, :3]))  # products drift from SO(3)
-        return RotationEstimate(R, T[:3, 3], weigh(*views, R, T[:3, 3], FINE_TOLERANCE * size))
+        return with_evidence(*views, R, T[:3, 3])
 
 
 def aligned(
-    source: Points, target: Points, motions: Motions, stage: Stage, size: float
+    source: Points, target: Points, motions: Motions, stage: Stage, diameter_m: float
 ) -> tuple[Motions, Float[np.ndarray, " k"]]:
-    """The motions after GICP at one resolution, and the inliers of each. Raises ReorientError for too few points."""
-    (cloud, _), (other, tree) = (small_gicp.preprocess_points(x, stage.voxel * size, 10) for x in (source, target))
+    """The motions after GICP at one resolution, and their inliers. Raises ReorientError for too few points."""
+    (cloud, _), (other, tree) = (
+        small_gicp.preprocess_points(x, stage.voxel * diameter_m, 10) for x in (source, target)
+    )
     if min(cloud.size(), other.size()) < FEWEST_POINTS:
         raise ReorientError(f"clouds of {cloud.size()} and {other.size()} points: expected at least {FEWEST_POINTS}")
     results = [
@@ -230,10 +237,10 @@ def aligned(
             tree,
             T,
             registration_type="GICP",
-            max_correspondence_distance=stage.gate * size,
+            max_correspondence_distance=stage.gate * diameter_m,
             max_iterations=stage.iterations,
             rotation_epsilon=1e-4,
-            translation_epsilon=1e-5 * size,
+            translation_epsilon=1e-5 * diameter_m,
         )
         for T in motions
     ]

@@ -1,14 +1,14 @@
-"""What each part of the default estimator is worth: stages left out, fewer hypotheses, the judge beside other choices.
+"""Ablation of ``rotation-search``: stages left out, fewer hypotheses, the verifier beside other choices.
 
     python benchmarks/stages.py out/stages-household --meshes FOLDER --only results/household-reporting.txt --pivot
     python benchmarks/stages.py out/stages-generated --count 400 --object-seed 100 --pivot --also out/stages-household
 
-Rows as of ``reorient evaluate``, on its pairs, each variant an "estimator" (an interrupted run goes on where it
-stopped); then a Markdown table. "judge" is the likeliest hypothesis of the normal effort before it is polished, "score"
-the one of the best hand-made score, "oracle" the one nearest the truth; "default" is the whole estimator, polished.
-"of 4": only the 4 hypotheses of the best score were kept. All variants meet the same pairs, so beside Wilson's interval
-stands the paired difference from "judge", with a bootstrap interval over objects (pairs of one object are not
-independent) and McNemar's exact test.
+Rows as of ``reorient evaluate``, on its pairs, each variant an "estimator" (an interrupted run continues where it
+stopped); then a Markdown table. "verifier" is its most probable hypothesis of the normal effort before it is polished,
+"score" the hypothesis of the highest score, "oracle" the one nearest the truth; "default" is the whole estimator,
+polished. "of 4": only the 4 hypotheses of the highest score were kept. All variants meet the same pairs, so beside
+Wilson's interval stands the paired difference from "verifier", with a bootstrap interval over objects (pairs of one
+object are not independent) and McNemar's exact test.
 """
 
 import time
@@ -25,35 +25,36 @@ from scipy.stats import binomtest
 from reorient import load_estimator
 from reorient.cli.progress import show_progress
 from reorient.errors import ReorientError
-from reorient.estimators.default import pose
 from reorient.estimators.search import EFFORTS, Effort, search
-from reorient.estimators.verifier import features, load_judge
-from reorient.experiments.evaluation import Evaluation, Row, answer_cells, measure_pairs
-from reorient.registration.refine import Hypotheses, Problem
-from reorient.reporting.rows import estimators, numbers, read_rows, wilson
+from reorient.estimators.verifier import features, load_verifier
+from reorient.experiments.evaluation import Evaluation, answer_cells, measure_pairs
+from reorient.registration import INLIER_TOLERANCE, Hypotheses, Problem, build_problem
+from reorient.reporting.rows import estimators, numbers, read_rows
+from reorient.runs.pool import Pool
+from reorient.runs.run import Row
 from reorient.world.pairs import Pair
 from reorient.world.symmetry import SymmetryGroup, symmetric_error
 
 NORMAL = EFFORTS["normal"]
-REFERENCE = "judge"
-SCORED = 0.015, 1000  # tolerance (in sizes) and points of the hand-made score
+REFERENCE = "verifier"
+SCORED = INLIER_TOLERANCE, 1000  # tolerance (relative to the object diameter) and points of the score
 RESAMPLES = 4000
 
 
 @dataclass(frozen=True)
 class Variant:
-    """How hypotheses are made, how many are kept, and who chooses."""
+    """How hypotheses are made, how many are kept, and how one is chosen."""
 
-    choose: str = "judge"
+    choose: str = "verifier"
     keep: int | None = None
     """So many of the best score; None: all."""
     effort: Effort = NORMAL
 
 
 def _left_out() -> dict[str, Effort]:
-    unscattered = tuple(replace(stage, copies=0) for stage in NORMAL.stages)
+    unperturbed = tuple(replace(stage, copies=0) for stage in NORMAL.stages)
     efforts = {
-        "no scattering": replace(NORMAL, stages=unscattered),
+        "no perturbations": replace(NORMAL, stages=unperturbed),
         "a quarter of the modes": replace(NORMAL, modes=NORMAL.modes // 4),
     }
     for index in range(len(NORMAL.stages)):
@@ -63,12 +64,12 @@ def _left_out() -> dict[str, Effort]:
 
 
 VARIANTS = (
-    {name: Variant(name) for name in ("judge", "score", "oracle")}
-    | {f"{name} of {keep}": Variant(name, keep) for keep in (2, 4, 8) for name in ("judge", "oracle")}
+    {name: Variant(name) for name in ("verifier", "score", "oracle")}
+    | {f"{name} of {keep}": Variant(name, keep) for keep in (2, 4, 8) for name in ("verifier", "oracle")}
     | {
-        f"{said}, {name}": Variant(name, None, effort)
-        for said, effort in _left_out().items()
-        for name in ("judge", "oracle")
+        f"{left_out}, {name}": Variant(name, None, effort)
+        for left_out, effort in _left_out().items()
+        for name in ("verifier", "oracle")
     }
 )
 
@@ -86,7 +87,7 @@ class Stages:
             noise_mm=(1.0,),
         )
     )
-    workers: int = 1
+    pool: Pool = field(default_factory=Pool)
     also: tuple[Path, ...] = ()
     """Folders of other runs whose rows count in the table, too."""
 
@@ -94,7 +95,7 @@ class Stages:
 def ablate(
     config: Evaluation, pair: Pair, group: SymmetryGroup, pivot_m: Float[np.ndarray, "3"] | None
 ) -> list[dict[str, Any]]:
-    """What each variant answers; a set of hypotheses serves all variants that share it."""
+    """The answer of each variant; a set of hypotheses serves all variants that share it."""
     sets: dict[Effort, tuple[Problem, Hypotheses, float]] = {}
     measured = []
     for name in config.estimators:
@@ -106,7 +107,7 @@ def ablate(
             variant = VARIANTS[name]
             if variant.effort not in sets:
                 begin = time.process_time()
-                problem = pose(pair.current, pair.goal, pivot_m)
+                problem = build_problem(pair.current, pair.goal, pivot_m)
                 hypotheses = search(problem, variant.effort)
                 hypotheses = hypotheses[np.argsort(-problem.score(hypotheses, *SCORED), kind="stable")]
                 sets[variant.effort] = problem, hypotheses, time.process_time() - begin
@@ -122,8 +123,8 @@ def _chosen(
     variant: Variant, problem: Problem, hypotheses: Hypotheses, pair: Pair, group: SymmetryGroup
 ) -> Float[np.ndarray, "3 3"]:
     """One of the hypotheses, which come in the order of their score."""
-    if variant.choose == "judge":
-        best = np.argmax(load_judge().log_odds(features(problem, problem.looks[0], hypotheses)))
+    if variant.choose == "verifier":
+        best = np.argmax(load_verifier().log_odds(features(problem, hypotheses)))
     elif variant.choose == "oracle":
         best = np.argmin([symmetric_error(group, R, pair.R_goal_current, pair.R_camera_object) for R in hypotheses.R])
     else:
@@ -158,7 +159,7 @@ def markdown(rows: Sequence[Row]) -> str:
 
 
 def _share(right: Bool[np.ndarray, " n"]) -> str:
-    low, high = wilson(int(right.sum()), len(right))
+    low, high = binomtest(int(right.sum()), len(right)).proportion_ci(method="wilson")
     return f"{right.mean():.1%} ({100 * low:.1f}–{100 * high:.1f})"
 
 
@@ -180,21 +181,21 @@ def _bootstrapped(difference: Float[np.ndarray, " n"], thing: np.ndarray) -> tup
 
 
 def verdict(rows: Sequence[Row]) -> str:
-    """Whether Wilson's intervals of the judge and the hand-made score are apart, all ranges together."""
+    """Whether Wilson's intervals of the verifier and the score are apart, all ranges together."""
     intervals = []
-    for name in ("judge", "score"):
+    for name in ("verifier", "score"):
         right = numbers([row for row in rows if row["estimator"] == name], "error_sym_deg") < 5
-        intervals.append(wilson(int(right.sum()), len(right)))
+        intervals.append(binomtest(int(right.sum()), len(right)).proportion_ci(method="wilson"))
     (low, high), (other_low, other_high) = intervals
     return (
-        f"judge {low:.1%} to {high:.1%}, hand-made score {other_low:.1%} to {other_high:.1%}: "
+        f"verifier {low:.1%} to {high:.1%}, score {other_low:.1%} to {other_high:.1%}: "
         f"the intervals {'overlap' if low <= other_high and other_low <= high else 'are apart'}"
     )
 
 
 def main(config: Stages) -> None:
     """Measure, then print the table."""
-    show_progress("pairs", measure_pairs(config.config, config.out, ablate, config.workers, str(VARIANTS)))
+    show_progress("pairs", measure_pairs(config.config, config.out, ablate, config.pool, str(VARIANTS)))
     rows: list[Row] = []
     for folder in (config.out, *config.also):
         more = read_rows(folder)
@@ -202,7 +203,7 @@ def main(config: Stages) -> None:
             raise ReorientError(f"{str(folder)!r} has other variants: expected {', '.join(config.config.estimators)}")
         rows += more
     print(markdown(rows))
-    if {"judge", "score"} <= set(config.config.estimators):
+    if {"verifier", "score"} <= set(config.config.estimators):
         print(f"\n{verdict(rows)}")
 
 

@@ -23,6 +23,7 @@ from reorient.learning.network import build
 from reorient.learning.pair_reader import PairReader
 from reorient.learning.pair_store import generate
 from reorient.learning.recipes import PRESETS, Training
+from reorient.runs.pool import Pool
 from reorient.world.objects import ObjectSource
 from reorient.world.pairs import PairSet
 
@@ -67,9 +68,9 @@ def main() -> None:
             )
         config = PairSet(ObjectSource(meshes=meshes), pairs_per_object=PAIRS)
         cores = os.cpu_count() or 1
-        list(generate(PairSet(ObjectSource(meshes=meshes), pairs_per_object=1), Path(folder) / "warm", cores))
+        list(generate(PairSet(ObjectSource(meshes=meshes), pairs_per_object=1), Path(folder) / "warm", Pool(cores)))
         begin = time.perf_counter()
-        list(generate(config, store, cores))
+        list(generate(config, store, Pool(cores)))
         made = OBJECTS * PAIRS / (time.perf_counter() - begin)
         raw = OBJECTS * PAIRS * 2 * 128 * 128 * 2
         size = sum(file.stat().st_size for file in store.rglob("*") if file.is_file())

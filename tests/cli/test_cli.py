@@ -258,9 +258,10 @@ def test_broken_records_are_refused(broken, message, capsys, tmp_path, unchecked
     assert message in refused(capsys, "replay", tmp_path)
 
 
-def test_the_judge_is_not_trained_without_the_extra(capsys, tmp_path, monkeypatch):
+def test_the_verifier_is_not_trained_without_the_extra(capsys, tmp_path, monkeypatch):
     monkeypatch.setattr("reorient.cli.learning.find_spec", lambda module: None)
-    assert "sklearn is not installed: expected `pip install" in refused(capsys, "judge", "train", tmp_path, "judge.npz")
+    message = refused(capsys, "verifier", "train", tmp_path, "verifier.npz")
+    assert "sklearn is not installed: expected `pip install" in message
 
 
 def test_the_strategy_follows_the_confidence(capsys, tmp_path, monkeypatch):
@@ -360,7 +361,7 @@ def test_evaluate_and_report(capsys, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "verb", [["evaluate", "out", "--pairs"], ["cell", "out", "--trials"], ["judge", "make", "out", "--pairs"]]
+    "verb", [["evaluate", "out", "--pairs"], ["cell", "out", "--trials"], ["verifier", "make", "out", "--pairs"]]
 )
 def test_what_a_config_refuses_is_said_in_its_own_words(verb, capsys):
     assert refused(capsys, *verb, 0).startswith("reorient: expected at least one ")

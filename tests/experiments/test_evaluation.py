@@ -10,7 +10,7 @@ import pytest
 
 from reorient import so3
 from reorient.errors import ReorientError
-from reorient.estimators.base import RotationEstimate
+from reorient.estimators.base import with_evidence
 from reorient.experiments.evaluation import (
     COLUMNS,
     Evaluation,
@@ -20,14 +20,15 @@ from reorient.experiments.evaluation import (
     read_config,
     regenerate,
 )
-from reorient.registration import DepthView, measure_evidence
+from reorient.registration import DepthView
+from reorient.runs.pool import Pool
 from reorient.world.objects import ObjectSource
 
 TINY = Evaluation(ObjectSource(count=2), ("gicp", "icp"), ranges_deg=((0, 30), (30, 60)), noise_mm=(0.0, 1.0), pairs=3)
 
 
 def run(config, out, workers=1):
-    return list(evaluate(config, out, workers))
+    return list(evaluate(config, out, Pool(workers)))
 
 
 def rows_of(out: Path):
@@ -92,27 +93,25 @@ def test_goes_on_after_being_killed_in_the_middle_of_a_row(finished, tmp_path):
         if done == 1:
             break
     states.close()
-    with (out / "rows.partial.csv").open("a") as file:
-        file.write("generated-0-000001,1,benchmark,0.0,0,30,gi")  # half a row, as kill -9 leaves it
+    with (out / "partial.jsonl").open("a") as file:
+        file.write('{"task": "1", "rows": [{"object": "gener')  # half a row, as kill -9 leaves it
     assert run(TINY, out)[0] == (1, 3)
     assert without_times(rows_of(out)) == without_times(rows_of(finished))
-    assert not (out / "rows.partial.csv").exists()
+    assert not (out / "partial.jsonl").exists()
     assert run(TINY, out) == [(3, 3)]  # nothing left to do
 
 
 @dataclass(frozen=True)
 class Fixed:
-    """An estimator that is not of the package: always the same turn about the optical axis, or a refusal."""
+    """An estimator that is not of the package: always the same rotation about the optical axis, or a refusal."""
 
-    turn_rad: float | None
+    angle_rad: float | None
 
     def estimate(self, current, goal, pivot_m=None, history=()):
-        if self.turn_rad is None:
+        if self.angle_rad is None:
             raise ReorientError("too dark")
-        R = so3.exp(np.array([0, 0, self.turn_rad]))
-        return RotationEstimate(
-            R, np.zeros(3), measure_evidence(DepthView(current), DepthView(goal), R, np.zeros(3), 0.01)
-        )
+        R = so3.exp(np.array([0, 0, self.angle_rad]))
+        return with_evidence(DepthView(current), DepthView(goal), R, np.zeros(3))
 
 
 def test_an_estimator_that_refuses_has_answered_nothing(tmp_path):
@@ -125,7 +124,7 @@ def test_an_estimator_that_refuses_has_answered_nothing(tmp_path):
 
 def test_estimators_of_ones_own_stand_beside_the_package_s(tmp_path):
     config = Evaluation(ObjectSource(count=1), ("mine", "gicp"), ranges_deg=((10, 20),), noise_mm=(0.0,), pairs=2)
-    list(evaluate(config, tmp_path / "run", workers=2, own={"mine": Fixed(0.3)}))
+    list(evaluate(config, tmp_path / "run", Pool(2), own={"mine": Fixed(0.3)}))
     rows = rows_of(tmp_path / "run")
     assert [row["estimator"] for row in rows] == ["mine", "gicp"] * 2
     assert all(float(row["qw"]) == pytest.approx(np.cos(0.15)) for row in rows[::2])
@@ -167,9 +166,9 @@ def test_rows_of_another_version_are_not_mixed(tmp_path):
     states = evaluate(TINY, tmp_path / "run")
     next(state for state in states if state[0] == 1)
     states.close()
-    partial = tmp_path / "run" / "rows.partial.csv"
-    partial.write_bytes(b"".join(line.rpartition(b",")[0] + b"\r\n" for line in partial.read_bytes().splitlines()))
-    with pytest.raises(ReorientError, match="begun by another version: expected a new folder"):
+    partial = tmp_path / "run" / "partial.jsonl"
+    partial.write_text(partial.read_text().replace('"seconds"', '"duration"'))
+    with pytest.raises(ReorientError, match="rows with other columns: it was begun by another version"):
         run(TINY, tmp_path / "run")
 
 

@@ -4,10 +4,10 @@ import warnings
 
 import numpy as np
 import pytest
-from registration import Peer, Starts, optional
 
 import peers
 from peers import NEEDS, PEERS, Peers
+from registration import Peer, Starts, optional
 from reorient import so3
 from reorient.errors import ReorientError
 from reorient.experiments.evaluation import Evaluation
@@ -39,7 +39,7 @@ def test_finds_the_rotation_or_says_what_is_missing(name, pair):
     assert np.degrees(so3.angle_difference(estimate.R_goal_current, pair.R_goal_current)) < 1
     moved = pair.placement.center_m - estimate.R_goal_current @ pair.placement.center_m - estimate.t_goal_current_m
     assert np.linalg.norm(moved) < 0.002
-    assert estimate.evidence.fit > 0.5
+    assert estimate.evidence.inlier_ratio > 0.5
     assert estimate.confidence is None
     again = PEERS[name].estimate(pair.current, pair.goal)
     # nor does the pivot change anything; some peers' threads add up in any order, so the last digits differ
@@ -47,7 +47,7 @@ def test_finds_the_rotation_or_says_what_is_missing(name, pair):
 
 
 def test_of_many_starts_the_best_is_kept(pair):
-    for best_by in ("agreement", "inliers"):
+    for best_by in ("score", "inliers"):
         estimate = Peer(Starts(60), best_by, coarse=True).estimate(pair.current, pair.goal)
         assert np.degrees(so3.angle_difference(estimate.R_goal_current, pair.R_goal_current)) < 1
 

@@ -31,7 +31,6 @@ from reorient.reporting import (
     write_report,
 )
 from reorient.reporting.loop import evidence_in_words
-from reorient.reporting.rows import wilson
 from reorient.stations.rendered import RenderedStation
 from reorient.world.objects import ObjectSource
 from reorient.world.rendering import load_world
@@ -94,8 +93,9 @@ def test_summary_by_hand():
     ("hits", "n", "interval"),
     [(0, 10, (0.0, 0.27753)), (10, 10, (0.72247, 1.0)), (81, 263, (0.25527, 0.36621))],  # the last: Newcombe 1998
 )
-def test_wilson_by_the_book(hits, n, interval):
-    assert wilson(hits, n) == pytest.approx(interval, abs=2e-5)
+def test_the_interval_is_wilsons(hits, n, interval):
+    (summary,) = summarise([row(1.0 if index < hits else 9.0) for index in range(n)])
+    assert summary.within5_interval == pytest.approx(interval, abs=2e-5)
 
 
 def test_one_summary_for_each_cell_whatever_the_order_of_the_rows(rng):

@@ -10,19 +10,23 @@ from reorient import so3
 from reorient.cli import main
 from reorient.errors import ReorientError
 from reorient.estimators import load_estimator
-from reorient.experiments.loop_trials import LoopTrials, run_trial, tasks
+from reorient.experiments.loops import COLUMNS
 from reorient.reporting.rows import read_table
-from reorient.reproducing import NAMES, controller, object_sets, sweeps
+from reorient.reproducing import NAMES
+from reorient.reproducing.best_worst import BestWorst
 from reorient.reproducing.conclusions import conclude
 from reorient.reproducing.conditions import SWEEPS, Condition, see
+from reorient.reproducing.controller import Controller, by_iteration
 from reorient.reproducing.figure import load_figure
 from reorient.reproducing.findings import Finding, held, interval, share
-from reorient.reproducing.full import shape_match
+from reorient.reproducing.full import Full, shape_match
 from reorient.reproducing.making import verdicts
+from reorient.reproducing.object_sets import ObjectSets
 from reorient.reproducing.one_shot import NOTHING, RELEASED
-from reorient.reproducing.setting import Setting, collect
+from reorient.reproducing.setting import Setting
+from reorient.reproducing.sweeps import SweepFigure
 from reorient.runs.files import write_table
-from reorient.world.objects import ObjectSource, generated
+from reorient.world.objects import generated
 from reorient.world.pairs import sample_pair
 from reorient.world.rendering import Renderer, load_world
 from reorient.world.sensing import randomised
@@ -94,7 +98,7 @@ def test_conclusions_name_the_winner_level_by_level():
     first, ours, papers = conclude({"depth noise, mm": levels})
     assert first == "Learning (swift) is ahead of geometry (gicp) at 1 of 2 levels: 5 mm."
     assert "swift is ahead at 5 mm (100% and 0%); gicp is ahead at 0 mm (0% and 100%)" in ours
-    assert "paper is ahead at 0 mm (100% and 0%); it cannot be told at 5 mm (0% and 0%)" in papers
+    assert "paper is ahead at 0 mm (100% and 0%); no difference is significant at 5 mm (0% and 0%)" in papers
     levels["0 mm"] = levels["5 mm"]
     _, ours, _ = conclude({"depth noise, mm": levels})
     assert "gicp: swift is ahead at every level, from 0 mm (100% and 0%) to 5 mm (100% and 0%)." in ours
@@ -138,64 +142,18 @@ def test_shape_match_forgives_what_the_vertices_cannot_tell(rng):
 # --- rows -----------------------------------------------------------------------------------------------------------
 
 
-def _squares(task):
-    if task == 3:
-        raise KeyboardInterrupt
-    return [{"task": str(task), "square": str(task**2)}]
-
-
-def test_collecting_goes_on_where_it_stopped(tmp_path):
-    file = tmp_path / "rows.csv.gz"
-    with pytest.raises(KeyboardInterrupt):
-        list(collect(file, LoopTrials(), [1, 2, 3], _squares))
-    with (tmp_path / "rows.partial.jsonl").open("a") as torn:
-        torn.write('[{"task": "3"')
-    assert list(collect(file, LoopTrials(), [1, 2, 4], _squares)) == [(2, 3), (3, 3)]
-    assert [row["square"] for row in read_table(file, ["square"])] == ["1", "4", "16"]
-    assert list(collect(file, LoopTrials(), [1, 2, 4], _squares)) == [(3, 3)]
-    with pytest.raises(ReorientError, match="is of another config: expected the same, or a new folder"):
-        list(collect(file, LoopTrials(trials=3), [1], _squares))
-    with pytest.raises(ReorientError, match="0 workers: expected at least 1"):
-        list(collect(file, LoopTrials(), [1], _squares, workers=0))
-
-
 def test_only_loops_that_end_at_the_limit_are_counted_as_such(tmp_path):
-    ends = ("limit of 100 images", "the station failed to rotate: out of reach", "the predicted angle is 0.40 degrees")
-    same = {"object": "a", "trial": "0", "estimator": "gicp", "final_deg": "9", "final_sym_deg": "9", "moves": "4"}
-    rows = [same | {"errors_deg": "30 9", "converged": str(int(k == 2)), "reason": ends[k]} for k in range(3)]
-    write_table(tmp_path / controller.FILE, rows)
-    (at_limit,) = [f for f in controller.findings(tmp_path) if "ended at the limit" in f.what]
+    rows = [
+        dict.fromkeys(COLUMNS, "1") | {"estimator": "gicp", "trajectory_deg": "30 9", "status": status}
+        for status in ("max_images", "station_failed", "converged")
+    ]
+    write_table(tmp_path / "rows.csv.gz", rows)
+    (at_limit,) = [f for f in Controller().findings(tmp_path) if "ended at the limit" in f.what]
     assert at_limit.value == pytest.approx(100 / 3)
 
 
-def test_loops_are_algorithm_1_whatever_the_confidence(monkeypatch):
-    class Sure:
-        def estimate(self, *given):
-            return replace(load_estimator("gicp").estimate(*given), confidence=0.99)
-
-    monkeypatch.setattr("reorient.experiments.loop_trials._estimator", lambda name: Sure())
-    config = LoopTrials(ObjectSource(count=3, object_seed=7), ("sure",), objects=1, trials=1, start_deg=10.0)
-    (row,) = run_trial(tasks(config)[0])
-    assert row["reason"].startswith("the predicted angle is")
-    assert int(row["moves"]) > 8
-
-
-def test_loops_of_all_estimators_share_the_start_and_end_near_the_goal():
-    config = LoopTrials(ObjectSource(count=3, object_seed=7), ("gicp", "icp"), objects=1, trials=1, start_deg=10.0)
-    rows = run_trial(tasks(config)[0])
-    errors = [[float(x) for x in row["errors_deg"].split()] for row in rows]
-    assert [row["estimator"] for row in rows] == ["gicp", "icp"]
-    assert {e[0] for e in errors} == {10.0}
-    for row, course in zip(rows, errors, strict=True):
-        assert len(course) == int(row["moves"]) + 1
-        assert course[-1] == pytest.approx(float(row["final_deg"]), abs=0.006)
-        assert float(row["final_sym_deg"]) <= float(row["final_deg"]) + 1e-3
-    assert float(rows[0]["final_deg"]) < 1
-    assert run_trial(tasks(config)[0]) == rows
-
-
 def test_an_ended_loop_keeps_its_last_error():
-    curve = controller.by_iteration([{"errors_deg": "30 10 2"}, {"errors_deg": "30 4"}])
+    curve = by_iteration([{"trajectory_deg": "30 10 2"}, {"trajectory_deg": "30 4"}])
     assert curve.y.tolist() == [30, 7, 3]
 
 
@@ -207,8 +165,8 @@ def test_sweeps_vary_one_thing_and_show_the_same_orientations(mesh):
             "usual": usual,
             "wrong": replace(usual, focal_error=0.05),
             "small": replace(usual, size_px=32),
-            "hidden": replace(usual, hidden=0.5),
-            "seen": replace(usual, hidden=0.0),
+            "occluded": replace(usual, occluded=0.5),
+            "seen": replace(usual, occluded=0.0),
             "exact": replace(usual, noise_mm=0.0),
         }.items()
     }
@@ -220,16 +178,16 @@ def test_sweeps_vary_one_thing_and_show_the_same_orientations(mesh):
     assert pairs["small"].goal.depth_m.shape == (32, 32)
     returns = {name: np.count_nonzero(pair.current.depth_m) for name, pair in pairs.items()}
     assert returns["exact"] == pytest.approx(returns["usual"], rel=0.03)  # without noise, too, as many are lost
-    assert returns["hidden"] == pytest.approx(returns["seen"] / 2, rel=0.03)
+    assert returns["occluded"] == pytest.approx(returns["seen"] / 2, rel=0.03)
 
 
 # --- whole figures --------------------------------------------------------------------------------------------------
 
 
-def made(name, setting):
-    figure, folder = load_figure(name), setting.folder(name)
+def made(figure, setting):
+    folder = setting.folder(figure.name)
     figure.measure(setting)
-    return figure, folder, figure.findings(folder), figure.draw(setting, folder)
+    return folder, figure.findings(folder), figure.draw(setting, folder)
 
 
 def check_written(written):
@@ -242,54 +200,70 @@ def check_written(written):
             assert Image.open(path).width > 500
 
 
-def test_object_sets(setting, monkeypatch):
-    monkeypatch.setattr("reorient.reproducing.full.COUNT", 12)
-    monkeypatch.setattr(object_sets, "SHOWN", 4)
-    _, folder, findings, written = made("object-sets", setting)
+def test_object_sets(setting):
+    folder, findings, written = made(ObjectSets(full=Full(count=12), shown=4), setting)
     check_written(written)
     assert [finding.n for finding in findings] == [10, 12]
-    assert len(read_table(folder / "objects.csv.gz", ["symmetry_residual"])) == 22
+    assert len(read_table(folder / "rows.csv.gz", ["symmetry_residual"])) == 22
 
 
-def test_best_worst(setting, monkeypatch):
-    monkeypatch.setattr("reorient.reproducing.best_worst.PAIRS", 4)
-    figure, folder, findings, written = made("best-worst", setting)
+def test_best_worst(setting):
+    figure = BestWorst(pairs=4)
+    folder, findings, written = made(figure, setting)
     check_written(written)
     assert len(findings) == 6 + 6
     for best, worst in zip(findings[:6:2], findings[1:6:2], strict=True):
         assert best.value <= worst.value
-    said = verdicts("best-worst", findings, figure, folder, folder)
-    assert said[0].startswith("best-worst: holds: 6 of 6 numbers")
-    assert said[0].endswith("6 have no interval or no counterpart")
-    assert "none of its 6 numbers has an interval" in verdicts("best-worst", findings[:6], figure, folder, folder)[0]
+    lines = verdicts(figure, findings, folder, folder)
+    assert lines[0].startswith("best-worst: holds: 6 of 6 numbers")
+    assert lines[0].endswith("6 have no interval or no counterpart")
+    assert "none of its 6 numbers has an interval" in verdicts(figure, findings[:6], folder, folder)[0]
 
 
-def test_controller_whole_and_quick(setting, monkeypatch, capsys):
-    monkeypatch.setattr(controller, "ESTIMATORS", ("gicp",))
-    monkeypatch.setattr(controller, "OBJECTS", 3)
-    monkeypatch.setattr(controller, "TRIALS", 2)
-    figure, folder, findings, written = made("controller", setting)
+def test_controller_whole_and_quick(setting):
+    figure = Controller(estimators=("gicp",), objects=3, trials=2)
+    folder, findings, written = made(figure, setting)
     check_written(written)
     assert next(f.n for f in findings if f.what == "gicp: median final error") == 6
     part = replace(setting, share=0.5)
     assert part.folder("controller") != folder
-    _, other, again, _ = made("controller", part)
+    other, again, _ = made(figure, part)
     assert next(f.n for f in again if f.what == "gicp: median final error") == 3
-    said = verdicts("controller", again, figure, folder, other)
-    assert said[0].startswith("controller: holds: ")
-    said = verdicts("controller", again, figure, setting.out / "none", other)
-    assert "not compared, there are no whole rows" in said[0]
+    agree = sum(bool(held(a, b)) for a, b in zip(again, findings, strict=True))
+    (head, *differing) = verdicts(figure, again, folder, other)
+    assert f": {agree} of {len(again)} numbers agree" in head
+    assert head.startswith("controller: holds" if agree >= len(again) - 1 else "controller: DOES NOT HOLD")
+    assert len(differing) == len(again) - agree
+    assert "not compared, there are no whole rows" in verdicts(figure, again, setting.out / "none", other)[0]
 
 
-def test_sweeps_end_to_end(setting, monkeypatch):
+def test_a_part_that_differs_does_not_hold(tmp_path):
+    """The verdict of a part whose errors are ten times those of the whole."""
+    figure = Controller()
+    for name, error_deg in (("whole", 1.0), ("part", 10.0)):
+        (tmp_path / name).mkdir()
+        rows = [
+            dict.fromkeys(COLUMNS, "1")
+            | {"object": f"o{k}", "estimator": "gicp", "moves": f"{20 * error_deg + k % 3}"}
+            | {"error_deg": f"{error_deg + 0.01 * k}", "error_sym_deg": f"{error_deg + 0.01 * k}"}
+            for k in range(20)
+        ]
+        write_table(tmp_path / name / "rows.csv.gz", rows)
+    same = verdicts(figure, figure.findings(tmp_path / "whole"), tmp_path / "whole", tmp_path / "whole")
+    assert same == [f"controller: holds: 8 of 8 numbers{same[0].partition('8 of 8 numbers')[2]}"]
+    head, *differing = verdicts(figure, figure.findings(tmp_path / "part"), tmp_path / "whole", tmp_path / "part")
+    assert head.startswith("controller: DOES NOT HOLD: 2 of 8 numbers")
+    assert len(differing) == 6
+    assert differing[0].startswith("  differs: gicp: median final error: 10.")
+
+
+def test_sweeps_end_to_end(setting):
     few = {name: replace(sweep, conditions=dict(list(sweep.conditions.items())[:2])) for name, sweep in SWEEPS.items()}
-    monkeypatch.setattr(sweeps, "SWEEPS", few)
-    monkeypatch.setattr(sweeps, "PAIRS", 3)
-    _, folder, findings, written = made("sweeps", setting)
+    folder, findings, written = made(SweepFigure(pairs=3, sweeps=few), setting)
     check_written(written)
     assert len(findings) == 6 * 2 * 4 * 2
-    said = {finding.what for finding in findings}
-    assert {"0 mm of noise, swift: median", "10 to 20 degrees, icp: within 5°"} <= said
+    names = {finding.what for finding in findings}
+    assert {"0 mm of noise, swift: median", "10 to 20 degrees, icp: within 5°"} <= names
     text = (folder / "conclusions.md").read_text()
     assert text.startswith("# Where learning beats geometry\n\n- Learning (swift) is ahead")
 
@@ -305,4 +279,4 @@ def test_refusals(capsys, tmp_path):
             main(arguments)
         assert ended.value.code == 2
         assert said in capsys.readouterr().err
-    assert all(hasattr(load_figure(name), "measure") for name in NAMES)
+    assert [load_figure(name).name for name in NAMES] == list(NAMES)

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import ray
 
 from conftest import SMALL
 from reorient import so3
 from reorient.errors import ReorientError
 from reorient.learning.pair_reader import PairReader
 from reorient.learning.pair_store import estimate_cost, generate
+from reorient.runs.pool import Pool
 from reorient.world.objects import ObjectSource
 from reorient.world.pairs import PairSet
 from reorient.world.rendering import Placement, Renderer, load_world
@@ -43,7 +43,7 @@ def sharded(tmp_path_factory):
 
 def test_two_workers_make_the_same_bytes(sharded, tmp_path):
     config, path = sharded
-    assert run(config, tmp_path / "two", workers=2).done == 600
+    assert run(config, tmp_path / "two", pool=Pool(2)).done == 600
     assert digest(tmp_path / "two") == digest(path)
 
 
@@ -83,21 +83,11 @@ def test_killed_at_any_moment_it_finishes_to_the_same_bytes(tmp_path):
     with pytest.raises(ReorientError, match="1 shards of .* are missing"):
         PairReader(tmp_path / "set")
     assert run(config, tmp_path / "set").done == 1536
-    run(config, tmp_path / "whole", workers=2)
+    run(config, tmp_path / "whole", pool=Pool(2))
     whole = digest(tmp_path / "whole")
     left = digest(tmp_path / "set")
     assert {name: left[name] for name in whole} == whole
     assert all(".partial" in name for name in set(left) - set(whole))
-
-
-def test_a_ray_cluster_makes_the_same_bytes(sharded, tmp_path):
-    config, path = sharded
-    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
-    try:
-        assert run(config, tmp_path / "ray", workers=2, backend="ray").done == 600
-    finally:
-        ray.shutdown()
-    assert digest(tmp_path / "ray") == digest(path)
 
 
 def test_a_reader_gives_back_what_was_drawn(small_set):
@@ -165,7 +155,5 @@ def test_bad_places_are_refused(small_set, tmp_path):
         run(SMALL, tmp_path)
     with pytest.raises(ReorientError, match="no pairs in .*: expected what `reorient generate` wrote"):
         PairReader(tmp_path / "nothing")
-    with pytest.raises(ReorientError, match="0 workers: expected at least 1"):
-        run(SMALL, tmp_path / "new", workers=0)
     with pytest.raises(ReorientError, match="range 30 to 10 degrees: expected 0 <= low <= high <= 180"):
         PairSet(low_deg=30, high_deg=10)

@@ -7,27 +7,31 @@ from reorient.cli.arguments import Positional
 from reorient.cli.progress import show_progress
 from reorient.experiments.cell import run
 from reorient.experiments.cell_trials import Experiment
+from reorient.runs.pool import Pool
 
 
 @dataclass(frozen=True)
 class Cell:
-    """The paper's experiment on physical objects, in a simulated cell: arm, gripper, two cameras, segmentation. An
-    interrupted run goes on where it stopped.
+    """Run the experiment with physical objects in a simulated robot cell.
 
-    For example, three trials: reorient cell out/cell --objects 3 --trials 1
-    or, larger starts: reorient cell out/far --ranges-deg 30 90 90 180 --systems gicp/direct
+    The cell has an arm, a gripper and two cameras; the gripper is removed from the images by segmentation. An
+    interrupted run continues where it stopped.
+
+    Examples:
+        reorient cell out/cell --objects 3 --trials 1
+        reorient cell out/far --ranges-deg 30 90 90 180 --systems gicp/direct
     """
 
     out: Positional[Path]
     """Folder for config.json, rows.csv.gz, masks.csv.gz, report.html and cell.gif."""
     config: Experiment = field(default_factory=Experiment)
-    workers: int = 1
+    pool: Pool = field(default_factory=Pool)
 
     def run(self) -> None:
         """Run all trials, print the summary, write the page and the animation."""
         from reorient.reporting.cell import print_summary, write_cell_report
 
-        show_progress("trials", run(self.config, self.out, self.workers))
+        show_progress("trials", run(self.config, self.out, self.pool))
         print_summary(self.out)
         for path in write_cell_report(self.config, self.out):
             print(path)

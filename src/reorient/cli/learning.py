@@ -4,13 +4,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from reorient.cli.arguments import Positional, Presets
 from reorient.cli.progress import show_progress
 from reorient.errors import ReorientError
 from reorient.learning.recipes import PRESETS, NetworkName, Training
 from reorient.runs.files import make_folder
+from reorient.runs.pool import Pool
 from reorient.world.pairs import PairSet
 
 
@@ -34,26 +35,20 @@ class Generate:
     out: Positional[str]
     """Folder or fsspec URL (s3://..., gs://...) to write to."""
     config: PairSet = field(default_factory=PairSet)
-    workers: int = -1
-    """Number of processes, -1 for one per core."""
-    backend: Literal["loky", "ray"] = "loky"
-    """Run on processes of this machine, or on a Ray cluster (extra ``cluster``)."""
+    pool: Pool = field(default_factory=lambda: Pool(-1))
 
     def run(self) -> None:
         """Print duration and size, then generate."""
-        require("train", "zarr", "joblib")
-        import os
-
+        require("train", "zarr")
         from reorient.learning.pair_store import estimate_cost, generate
 
-        workers = (os.cpu_count() or 1) if self.workers == -1 else self.workers
-        cost = estimate_cost(self.config, self.out, workers)
+        cost = estimate_cost(self.config, self.out, self.pool)
         free = "" if cost.free_bytes is None else f" of {cost.free_bytes / 1e9:.0f} GB free"
         print(
             f"{cost.pairs} pairs: about {cost.seconds / 60:.1f} minutes and {cost.bytes / 1e9:.2f} GB{free}",
             flush=True,
         )
-        states = generate(self.config, self.out, workers, self.backend)
+        states = generate(self.config, self.out, self.pool)
         show_progress("pairs", ((state.done, state.total) for state in states))
         print(self.out)
 

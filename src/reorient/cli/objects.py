@@ -12,6 +12,7 @@ from reorient.cli.arguments import Positional
 from reorient.cli.progress import show_progress, table_console
 from reorient.errors import ReorientError
 from reorient.runs.files import make_folder, replacing, write_table
+from reorient.runs.pool import Pool
 from reorient.world.objects import ObjectSet, ObjectSource, split
 
 
@@ -103,8 +104,7 @@ class Check:
     objects: ObjectSource = field(default_factory=ObjectSource)
     out: Path | None = None
     """File for the rows (.csv.gz)."""
-    workers: int = 1
-    """Number of processes."""
+    pool: Pool = field(default_factory=Pool)
 
     def run(self) -> None:
         """Measure, write, print percentiles."""
@@ -113,7 +113,7 @@ class Check:
         rows: list[dict[str, str]] = []
 
         def states() -> Iterator[tuple[int, int]]:
-            for row, total in describe(self.objects, self.workers):
+            for row, total in describe(self.objects, self.pool):
                 rows.append(row)
                 yield len(rows), total
 

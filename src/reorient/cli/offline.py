@@ -6,28 +6,31 @@ from pathlib import Path
 from reorient.cli.arguments import Positional
 from reorient.cli.progress import show_progress, table_console
 from reorient.experiments.evaluation import Evaluation, evaluate
+from reorient.runs.pool import Pool
 
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Measure estimators: raw rows as CSV.gz, a table on screen. An interrupted run goes on where it stopped.
+    """Measure the errors of estimators on simulated pairs of images.
 
-    For example: reorient evaluate out/eval --count 100 --pairs 300
-    or, own meshes: reorient evaluate out/own --meshes my_meshes --estimators gicp --ranges-deg 0 30 --noise-mm 1
+    An interrupted run continues where it stopped.
+
+    Examples:
+        reorient evaluate out/eval --count 100 --pairs 300
+        reorient evaluate out/own --meshes my_meshes --estimators gicp --ranges-deg 0 30 --noise-mm 1
     """
 
     out: Positional[Path]
     """Folder for config.json, rows.csv.gz and table.md."""
     config: Evaluation = field(default_factory=Evaluation)
-    workers: int = 1
-    """Processes."""
+    pool: Pool = field(default_factory=Pool)
 
     def run(self) -> None:
         """Measure, then print the tables."""
         from reorient.reporting import markdown_table, print_tables, read_rows
         from reorient.runs.files import replacing
 
-        show_progress("pairs", evaluate(self.config, self.out, self.workers))
+        show_progress("pairs", evaluate(self.config, self.out, self.pool))
         rows = read_rows(self.out)
         with replacing(self.out / "table.md") as temporary:
             temporary.write_text(markdown_table(rows))
@@ -37,13 +40,16 @@ class Evaluate:
 
 @dataclass(frozen=True)
 class Report:
-    """One self-contained HTML page of an evaluation: error against angle, histograms, best and worst pairs.
+    """Write an HTML page of an evaluation.
 
-    For example: reorient report out/eval
+    The page is self-contained: error against angle, histograms, best and worst pairs.
+
+    Examples:
+        reorient report out/eval
     """
 
     folder: Positional[Path]
-    """What ``reorient evaluate`` wrote."""
+    """Folder of ``reorient evaluate``."""
 
     def run(self) -> None:
         """Write report.html beside the rows."""

@@ -46,6 +46,7 @@ GROUPS = {
     "measure": {
         "evaluate": Verb("offline:Evaluate", "Measure the errors of estimators on simulated pairs of images."),
         "report": Verb("offline:Report", "Write an HTML page of an evaluation."),
+        "loops": Verb("loops:Loops", "Measure closed loops at simulated stations."),
         "cell": Verb("cell:Cell", "Run the experiment with physical objects in a simulated robot cell."),
         "reproduce": Verb("reproducing:Reproduce", "Make a figure of the paper again."),
     },
@@ -59,8 +60,8 @@ GROUPS = {
         "generate": Verb("learning:Generate", "Generate pairs of depth images with known rotations for training."),
         "train": Verb("learning:Train", "Train a network on generated pairs."),
         "export": Verb("learning:Export", "Convert trained weights to ONNX, which the estimators read."),
-        "judge make": Verb("judging:Make", "Generate hypotheses of known error to train the verifier on."),
-        "judge train": Verb("judging:Train", "Train the verifier on generated hypotheses."),
+        "verifier make": Verb("verifier:Make", "Generate hypotheses of known error to train the verifier on."),
+        "verifier train": Verb("verifier:Train", "Train the verifier on generated hypotheses."),
     },
 }
 VERBS = {name: verb for group in GROUPS.values() for name, verb in group.items()}

@@ -26,7 +26,7 @@ class FusingSettings:
     patience: int = 3
     """Number of consecutive errors of station or estimator that the loop survives."""
     history: bool = False
-    """Whether the estimator receives earlier images. No better on 100 loops of tuning objects (docs/tables.md)."""
+    """Whether the estimator receives earlier images. No better on 100 loops of tuning objects (docs/ablations.md)."""
     belief: BeliefSettings = field(default_factory=BeliefSettings)
 
     approach_rad: float = float(np.radians(1))
@@ -50,7 +50,7 @@ class FusingSettings:
     """Log-odds by which a tied hypothesis must exceed the present one for a move back. Loops of tuning objects."""
     near_start_rad: float = float(np.radians(60))
     """A tied hypothesis this near to the start is preferred, as most requested rotations are small: of uniform ones 1
-    in 17. Without it 1 of 90 loops from 30 degrees ended at a flip (docs/tables.md)."""
+    in 17. Without it 1 of 90 loops from 30 degrees ended at a flip (docs/tuning.md)."""
 
     sure_elsewhere: float = 0.95
     """Probability by an estimate from elsewhere with which competing alternatives need no visit. Loops of tuning

@@ -17,7 +17,7 @@ from reorient.estimators.search import EFFORTS, MODE_RADIUS_RAD, search
 from reorient.estimators.verifier import Verifier, features, load_verifier
 from reorient.imaging import DepthImage
 from reorient.registration import Hypotheses, Problem, build_problem, non_maximum_suppression
-from reorient.runs.pool import processes
+from reorient.runs.pool import Pool
 
 ALTERNATIVE_ABOVE = 0.25  # of the answer's probability: a less likely hypothesis is no alternative
 
@@ -56,12 +56,9 @@ class RotationSearch:
         pivots = [None] * len(pairs) if pivots_m is None else list(pivots_m)
         if len(pivots) != len(pairs):
             raise ReorientError(f"{len(pivots)} pivots for {len(pairs)} pairs: expected one each, or no pivots_m")
-        currents, goals = [current for current, _ in pairs], [goal for _, goal in pairs]
-        workers = min(workers or cpu_count() or 1, len(pairs))
-        if workers <= 1:
-            return [self.estimate(*task) for task in zip(currents, goals, pivots, strict=True)]
-        with processes(workers) as pool:
-            return list(pool.map(self.estimate, currents, goals, pivots))
+        pool = Pool(max(min(workers or cpu_count() or 1, len(pairs)), 1))
+        tasks = [(*pair, pivot_m) for pair, pivot_m in zip(pairs, pivots, strict=True)]
+        return list(pool.map(lambda task: self.estimate(*task), tasks))
 
 
 def verify(problem: Problem, hypotheses: Hypotheses, verifier: Verifier, effort: str) -> RotationEstimate:

@@ -1,4 +1,4 @@
-"""One trial of the cell experiment: an object in the gripper, its goal image, the turn away, the loop back.
+"""One trial of the cell experiment: an object in the gripper, its goal image, the rotation away from it, the loop back.
 
 Trials are drawn from seeds, so that each system (an estimator and a strategy) meets the same ones, and any can be run
 again to be shown.
@@ -7,7 +7,6 @@ again to be shown.
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +16,10 @@ from jaxtyping import Bool, Float
 from numpy.random import Generator
 
 from reorient import so3
-from reorient.controller import OrientResult, Step, load_strategy, orient
+from reorient.controller import OrientResult, Step, orient
 from reorient.errors import ReorientError, StationError
-from reorient.estimators import load_estimator
+from reorient.experiments.cached import cached_object
+from reorient.experiments.systems import load_system, names_of
 from reorient.imaging import DepthImage
 from reorient.perception.calibration import read_calibration
 from reorient.perception.colour import ColourRange
@@ -27,47 +27,47 @@ from reorient.perception.segmentation import object_mask
 from reorient.world.objects import ObjectSource
 from reorient.world.statistics import is_distinctive
 
-MAX_STEPS = 50  # K of the paper's physical experiment
+MAX_IMAGES = 50  # K of the paper's physical experiment
 LEAST_VISIBLE = 0.7  # of the object's silhouette, in goal and start (paper: "not significantly occluded")
-_TURNS = 200  # drawn for a start before another goal is tried
+_ROTATIONS = 200  # drawn for a start before another goal is tried
 _PLACES = 5  # goals tried
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """What to run."""
+    """Trials to run."""
 
     source: ObjectSource = field(default_factory=lambda: ObjectSource(count=60, object_seed=100))
-    """Where the objects are drawn from."""
+    """Source of the objects."""
     objects: int = 5
-    """How many of the source, drawn by a hash of the name among those without symmetry that the gripper can hold."""
+    """Number of objects, drawn by a hash of the name among those without symmetry that the gripper can hold."""
     trials: int = 10
     """Goals and starts of each object."""
     systems: tuple[str, ...] = ("default/fusing", "gicp/direct")
-    """Each an estimator and a strategy: algorithm1 (eta 0.2, delta 0.5°), direct (eta 1), fusing; at most 50 images."""
+    """Estimator and strategy: fusing, algorithm1 (eta 0.2, delta 0.5 deg), direct (eta 1). At most 50 images."""
     ranges_deg: tuple[tuple[float, float], ...] = ((30, 30),)
     """Ranges of the angle between start and goal."""
     noise_mm: float = 0.5
     """Depth noise."""
     slip_nm: float | None = None
-    """Torque at which the object slips in the fingers; None: never."""
+    """Torque at which the object slips in the fingers, by default never."""
     segmentation: str = "shape"
-    """How the gripper is removed: by its known shape, or by its colour as in the paper."""
+    """Means to remove the gripper: shape (its known shape) or colour (as in the paper)."""
     gripper_hue_deg: tuple[float, float] | None = None
-    """Hue, from and to, of the gripper; with a range of saturation instead of what the empty gripper teaches."""
+    """Range of the gripper's hue. With one of saturation it replaces the colours learned from the empty gripper."""
     gripper_saturation: tuple[float, float] | None = None
-    """Saturation of the gripper, in [0, 1]."""
+    """Range of the gripper's saturation, between 0 and 1."""
     calibration: Path | None = None
-    """Calibration file of the cell's cameras; none: the true one, 1 mm and 0.3 degrees wrong."""
+    """Calibration file of the cell's cameras, by default the true one with errors of 1 mm and 0.3 degrees."""
     arm: Path | None = None
-    """MJCF of another arm; none: the YuMi's left."""
+    """MJCF file of another arm, by default the YuMi's left one."""
     seed: int = 0
-    """Of the goals, the starts and the cell's errors."""
+    """Seed of the goals, the starts and the cell's errors."""
 
     def __post_init__(self) -> None:
         """Raises ReorientError for what cannot be run."""
         for system in self.systems:
-            estimator_and_strategy(system)
+            names_of(system)
         for low, high in self.ranges_deg:
             if not 0 < low <= high <= 180:
                 raise ReorientError(f"range {low:g} to {high:g} degrees: expected 0 < low <= high <= 180")
@@ -75,14 +75,6 @@ class Experiment:
             raise ReorientError("expected at least one system, range, object and trial, and a seed from 0")
         if not (0 <= self.noise_mm < 100 and (self.slip_nm is None or self.slip_nm > 0)):
             raise ReorientError(f"noise {self.noise_mm} mm, slip at {self.slip_nm} Nm: expected noise >= 0, slip > 0")
-
-
-def estimator_and_strategy(system: str) -> tuple[str, str]:
-    """The two names of a system. Raises ReorientError for an unknown one."""
-    estimator, _, strategy = system.partition("/")
-    load_estimator(estimator)
-    load_strategy(strategy)
-    return estimator, strategy
 
 
 class Witness:
@@ -96,20 +88,22 @@ class Witness:
     @property
     def pivot_m(self) -> Float[np.ndarray, "3"] | None:
         """The cell's."""
-        return self.cell.pivot_m
+        pivot_m: np.ndarray | None = self.cell.pivot_m
+        return pivot_m
 
     def capture(self) -> DepthImage:
         """The cell's image."""
         self.errors_deg.append(self.error_deg())
-        return self.cell.capture()
+        image: DepthImage = self.cell.capture()
+        return image
 
     def rotate(self, R_step: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
         """The cell's move."""
-        return self.cell.rotate(R_step)
+        return np.asarray(self.cell.rotate(R_step))
 
     def reachable(self, R_step: Float[np.ndarray, "3 3"]) -> bool:
         """The cell's reach."""
-        return self.cell.reachable(R_step)
+        return bool(self.cell.reachable(R_step))
 
     def error_deg(self) -> float:
         """The true angle between the object and its goal."""
@@ -118,7 +112,7 @@ class Witness:
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """A cell before its loop: the goal image taken, the arm turned away."""
+    """A cell before its loop: the goal image taken, the object rotated away from it."""
 
     cell: Any
     goal: DepthImage
@@ -133,23 +127,23 @@ def stage(
 ) -> Stage:
     """Set up one trial; the same arguments make the same trial. Raises ReorientError where the arm cannot.
 
-    The turn away has an angle uniform in the range and any axis for which arm and object allow it, and after which at
-    least 70% of the object is seen, too.
+    The rotation away has an angle uniform in the range and a random axis, such that the arm can make it and at least
+    70% of the object stay visible.
     """
     low, high = range_deg
     rng = np.random.default_rng([config.seed, zlib.crc32(name.encode()), trial, round(1000 * low), round(1000 * high)])
-    mesh = _mesh(config.source, name)
+    mesh, _ = cached_object(config.source, name)
     cell = open_cell(config, rng)
     for _ in range(_PLACES):
         cell.plant.hold(mesh, LEAST_VISIBLE)
-        turn = _turn_away(cell, rng, np.radians(low), np.radians(high))
-        if turn is not None:
+        R_away = _rotation_away(cell, rng, np.radians(low), np.radians(high))
+        if R_away is not None:
             break
     else:
-        raise ReorientError(f"the arm cannot turn the object away by {low:g} to {high:g} degrees and still show it")
+        raise ReorientError(f"the arm cannot rotate the object away by {low:g} to {high:g} degrees and still show it")
     masks = [_score_masks(cell, "goal")] if score_masks else []
     goal, R_goal = cell.capture(), cell.plant.R_world_object
-    cell.rotate(turn)
+    cell.rotate(R_away)
     masks += [_score_masks(cell, "start")] if score_masks else []
     return Stage(cell, goal, R_goal, tuple(masks))
 
@@ -158,10 +152,9 @@ def close_loop(
     config: Experiment, staged: Stage, system: str, subscribers: Sequence[Callable[[Step], None]] = ()
 ) -> tuple[OrientResult, list[float]]:
     """One loop from a stage, and the true angle left at each image and, last, at the end; degrees."""
-    estimator, strategy = estimator_and_strategy(system)
+    estimator, strategy = load_system(system, max_images=MAX_IMAGES)
     witness = Witness(staged.cell, staged.R_goal)
-    chosen_strategy = load_strategy(strategy, max_images=MAX_STEPS)
-    result = orient(witness, staged.goal, load_estimator(estimator), chosen_strategy, subscribers=subscribers)
+    result = orient(witness, staged.goal, estimator, strategy, subscribers=subscribers)
     return result, [*witness.errors_deg[: len(result.steps)], witness.error_deg()]
 
 
@@ -212,10 +205,10 @@ def _can_hold(cell: Any, mesh: trimesh.Trimesh) -> bool:
     return True
 
 
-def _turn_away(cell: Any, rng: Generator, low_rad: float, high_rad: float) -> Float[np.ndarray, "3 3"] | None:
-    """A turn of the gripper that the arm can make and that leaves the object in view; None if none is found."""
-    for _ in range(_TURNS):
-        R = so3.matrix_from_quat(so3.sample_bounded(rng, 1, low_rad, high_rad))[0]
+def _rotation_away(cell: Any, rng: Generator, low_rad: float, high_rad: float) -> Float[np.ndarray, "3 3"] | None:
+    """A rotation of the gripper that the arm can make and that leaves the object in view; None if none is found."""
+    for _ in range(_ROTATIONS):
+        R: np.ndarray = so3.matrix_from_quat(so3.sample_bounded(rng, 1, low_rad, high_rad))[0]
         try:
             joints_rad = cell.plan(R)
         except StationError:
@@ -226,7 +219,7 @@ def _turn_away(cell: Any, rng: Generator, low_rad: float, high_rad: float) -> Fl
 
 
 def _score_masks(cell: Any, image: str) -> dict[str, Any]:
-    """How well each segmentation tells the object: its returns, and all pixels whose ray hits it.
+    """Overlap of each segmentation with the object: with its returns, and with all pixels whose ray hits it.
 
     By the gripper's shape once without colours, and once with them to fill in what did not return.
     """
@@ -253,8 +246,3 @@ def _score_masks(cell: Any, image: str) -> dict[str, Any]:
 
 def _iou(mask: Bool[np.ndarray, "h w"], truth: Bool[np.ndarray, "h w"]) -> float:
     return float((mask & truth).sum() / max((mask | truth).sum(), 1))
-
-
-@lru_cache(maxsize=8)
-def _mesh(source: ObjectSource, name: str) -> trimesh.Trimesh:
-    return source.open().load(name)

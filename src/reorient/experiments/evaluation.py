@@ -1,19 +1,13 @@
 """Estimators x objects x angles x noise: one raw row each, summaries last.
 
-A run folder holds ``config.json`` (what was asked, and the commit) and ``rows.csv.gz``. Rows are appended to
-``rows.partial.csv`` pair by pair, so that an interrupted run goes on where it stopped. ``evaluate`` measures
-estimators, by name or as objects; ``measure_pairs`` is the same walk for whoever measures something else of a pair.
+A resumable run (``reorient.runs``), a task for each pair. ``evaluate`` measures estimators, by name or as objects;
+``measure_pairs`` measures anything else of the same pairs.
 """
 
-import csv
-import gzip
-import io
-import json
-import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, is_dataclass
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,14 +18,15 @@ from reorient import so3
 from reorient.errors import ReorientError
 from reorient.estimators import load_estimator
 from reorient.estimators.base import Estimator, as_estimate
-from reorient.runs.files import make_folder, replacing
-from reorient.runs.pool import check_workers, processes
-from reorient.runs.provenance import run_record
+from reorient.experiments.cached import cached_estimator, cached_object
+from reorient.runs.pool import Pool
+from reorient.runs.provenance import read_record
+from reorient.runs.run import CONFIG, Progress, Row, RowStore, Tables, resumable
 from reorient.world.objects import ObjectSet, ObjectSource
 from reorient.world.pairs import Pair, sample_pair, view_overlap
 from reorient.world.rendering import Renderer, load_world
 from reorient.world.sensing import randomised
-from reorient.world.symmetry import SymmetryGroup, rotation_group, symmetric_error
+from reorient.world.symmetry import SymmetryGroup, symmetric_error
 
 COLUMNS = [
     "object",
@@ -63,29 +58,27 @@ COLUMNS = [
 ]
 """Of a row; rows of before ``overlap`` was measured lack it."""
 
-Row = dict[str, str]
-
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What to measure."""
+    """Pairs and estimators to measure."""
 
     objects: ObjectSource = field(default_factory=ObjectSource)
-    """Whose pairs are drawn."""
+    """Objects of the pairs."""
     estimators: tuple[str, ...] = ("gicp", "icp")
-    """Names of estimators; each has a row for every pair."""
+    """Names of estimators, each with a row for every pair."""
     world: str = "benchmark"
     """Preset of camera, size and distance: benchmark or paper."""
     ranges_deg: tuple[tuple[float, float], ...] = ((0, 30), (30, 60))
     """Ranges of the angle between start and goal."""
     noise_mm: tuple[float, ...] = (0.0, 1.0)
-    """Depth noise of the structured-light sensor; 0: rectangle and dropouts alone."""
+    """Depth noise of the structured-light sensor. At 0 there are still rectangle and dropouts."""
     pairs: int = 300
-    """Pairs in each cell, spread over the objects."""
+    """Number of pairs for each range and noise, spread over the objects."""
     pivot: bool = False
     """Give the estimators the nominal pivot, up to 1 cm wrong along each axis."""
     seed: int = 0
-    """Of the pairs."""
+    """Seed of the pairs."""
 
     def __post_init__(self) -> None:
         """Raises ReorientError for what cannot be measured."""
@@ -99,81 +92,51 @@ class Evaluation:
 
 
 Measure = Callable[[Evaluation, Pair, SymmetryGroup, Float[np.ndarray, "3"] | None], list[dict[str, Any]]]
-"""What to find out about a pair, its object's symmetry and the pivot that may be used: for each of
-``config.estimators`` the cells of its row, of those ``COLUMNS`` that say nothing of the pair itself."""
+"""Measures a pair, given its object's symmetry and the pivot that may be used: for each of ``config.estimators`` the
+cells of its row, by those of ``COLUMNS`` that do not describe the pair itself."""
 
 
 def evaluate(
-    config: Evaluation, out: Path, workers: int = 1, own: Mapping[str, Estimator] | None = None
-) -> Iterator[tuple[int, int]]:
-    """Run, yielding (pairs done, pairs in all); the rows are in ``out/rows.csv.gz`` when it ends.
+    config: Evaluation, out: Path, pool: Pool | None = None, own: Mapping[str, Estimator] | None = None
+) -> Progress:
+    """Run; yields (pairs done, pairs in all). The rows are in ``out/rows.csv.gz`` when it ends.
 
     ``own``: estimators that are not of the package, by the names under which the config lists them.
-    Goes on where an earlier run of the same config stopped. Raises ReorientError where ``out`` holds another config.
-    ``seconds`` of a row are the process's own, on all its threads: other work on the machine hardly counts.
+    Raises ReorientError as ``resumable``, for an unknown estimator and for refused meshes.
+    ``seconds`` of a row is processor time of its process, all threads together.
     """
     own = own or {}
     for name in config.estimators:
         if name not in own:
             load_estimator(name)
-    said = "{" + ", ".join(f"{name!r}: {_described(estimator)}" for name, estimator in own.items()) + "}"
-    yield from measure_pairs(config, out, partial(_estimates, dict(own)), workers, own=said)
+    described = {name: _described(estimator) for name, estimator in own.items()}
+    yield from measure_pairs(config, out, partial(_estimates, dict(own)), pool, own=repr(described))
 
 
 def measure_pairs(
-    config: Evaluation, out: Path, measure: Measure, workers: int = 1, own: str = "{}"
-) -> Iterator[tuple[int, int]]:
-    """As ``evaluate``, with any measure. ``own``: what else the rows depend on, in words; kept in ``config.json``."""
+    config: Evaluation, out: Path, measure: Measure, pool: Pool | None = None, own: str = "{}"
+) -> Progress:
+    """As ``evaluate``, with any measure. ``own``: text for ``config.json`` of anything else that the rows depend on."""
     load_world(config.world)
-    check_workers(workers)
     names = _loadable(config.objects.open(), config.pairs)
-    _write_config(config, make_folder(out), workers, own)
-    partial_file, finished = out / "rows.partial.csv", out / "rows.csv.gz"
-    if finished.is_file():
-        partial_file.unlink(missing_ok=True)
-        yield config.pairs, config.pairs
-        return
-    per_pair = len(config.ranges_deg) * len(config.noise_mm) * len(config.estimators)
-    done = _whole_pairs(partial_file, per_pair)
-    tasks = [(config, measure, names[index % len(names)], index) for index in range(done, config.pairs)]
-    yield done, config.pairs
-    with (
-        processes(workers) as pool,
-        partial_file.open("a", newline="") as file,
-    ):
-        results = pool.map(_measure_pair, tasks) if workers > 1 else map(_measure_pair, tasks)
-        for rows in results:
-            buffer = io.StringIO()
-            csv.DictWriter(buffer, COLUMNS).writerows(rows)
-            file.write(buffer.getvalue())
-            file.flush()
-            done += 1
-            yield done, config.pairs
-    with (
-        replacing(finished) as temporary,
-        partial_file.open("rb") as raw,
-        temporary.open("wb") as whole,
-        gzip.GzipFile("", "wb", fileobj=whole, mtime=0) as packed,
-    ):
-        packed.write((",".join(COLUMNS) + "\r\n").encode())
-        shutil.copyfileobj(raw, packed)
-    partial_file.unlink()
+    tasks = {str(index): (config, measure, names[index % len(names)], index) for index in range(config.pairs)}
+    yield from resumable(out, config, tasks, _measure_pair, RowStore(), pool, own=own)
 
 
 def read_config(path: Path) -> Evaluation:
     """The config of a run folder. Raises ReorientError where there is none."""
-    file = path / "config.json"
+    file = path / CONFIG
     if not file.is_file():
         raise ReorientError(f"no evaluation in {str(path)!r}: expected config.json and rows.csv.gz")
     try:
-        data = json.loads(file.read_text())["config"]
+        data = read_record(file)["config"]
         source = ObjectSource.from_json(data.pop("objects"))
         data["ranges_deg"] = tuple(tuple(x) for x in data["ranges_deg"])
         for name in ("estimators", "noise_mm"):
             data[name] = tuple(data[name])
         return Evaluation(source, **data)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ReorientError(f"broken {str(file)!r} ({error}): expected what `reorient evaluate` wrote") from error
+        raise ReorientError(f"broken {str(file)!r} ({error}): expected the config of an evaluation") from error
 
 
 def regenerate(config: Evaluation, row: Row) -> tuple[Pair, Renderer]:
@@ -185,9 +148,9 @@ def regenerate(config: Evaluation, row: Row) -> tuple[Pair, Renderer]:
     return pair, renderer
 
 
-def _measure_pair(task: tuple[Evaluation, Measure, str, int]) -> list[Row]:
+def _measure_pair(task: tuple[Evaluation, Measure, str, int]) -> Tables:
     config, measure, name, index = task
-    mesh, group = _object(config.objects, name)
+    mesh, group = cached_object(config.objects, name)
     renderer = Renderer(mesh)
     rows = []
     for low, high in config.ranges_deg:
@@ -206,7 +169,7 @@ def _measure_pair(task: tuple[Evaluation, Measure, str, int]) -> list[Row]:
             measured = measure(config, pair, group, pair.pivot_m if config.pivot else None)
             for estimator, figures in zip(config.estimators, measured, strict=True):
                 rows.append(dict.fromkeys(COLUMNS, "") | figures | cell | {"estimator": estimator})
-    return [{column: str(row[column]) for column in COLUMNS} for row in rows]
+    return {"rows": [{column: str(row[column]) for column in COLUMNS} for row in rows]}
 
 
 def _pair(config: Evaluation, renderer: Renderer, index: int, low: float, high: float, noise_mm: float) -> Pair:
@@ -223,16 +186,17 @@ def _estimates(
     group: SymmetryGroup,
     pivot_m: Float[np.ndarray, "3"] | None,
 ) -> list[dict[str, Any]]:
-    """What each estimator answers."""
+    """Cells of each estimator."""
     return [
-        _estimate(own[name] if name in own else _estimator(name), pair, group, pivot_m) for name in config.estimators
+        _estimate(own[name] if name in own else cached_estimator(name), pair, group, pivot_m)
+        for name in config.estimators
     ]
 
 
 def _estimate(
     estimator: Estimator, pair: Pair, group: SymmetryGroup, pivot_m: Float[np.ndarray, "3"] | None
 ) -> dict[str, Any]:
-    """One row's figures. An estimator that refuses has answered "no rotation"; the message says why."""
+    """Cells of one row. An estimator that raises ReorientError counts as "no rotation"; ``message`` is the error."""
     begin = time.process_time()
     try:
         answer = estimator.estimate(pair.current, pair.goal, pivot_m)
@@ -261,17 +225,6 @@ def answer_cells(R: Float[np.ndarray, "3 3"], pair: Pair, group: SymmetryGroup) 
     } | {f"q{part}": f"{x:.9f}" for part, x in zip("wxyz", so3.quat_from_matrix(R), strict=True)}
 
 
-@lru_cache(maxsize=8)
-def _object(source: ObjectSource, name: str) -> tuple[Any, SymmetryGroup]:
-    mesh = source.open().load(name)
-    return mesh, rotation_group(mesh)
-
-
-@lru_cache
-def _estimator(name: str) -> Estimator:
-    return load_estimator(name)
-
-
 def _loadable(objects: ObjectSet, most: int) -> tuple[str, ...]:
     """The names, once every mesh that is going to be used has been loaded: better now than after hours."""
     refused = []
@@ -288,30 +241,7 @@ def _loadable(objects: ObjectSet, most: int) -> tuple[str, ...]:
     return objects.names
 
 
-def _write_config(config: Evaluation, out: Path, workers: int, own: str) -> None:
-    file = out / "config.json"
-    if file.is_file():
-        if read_config(out) != config or json.loads(file.read_text()).get("own", "{}") != own:
-            raise ReorientError(f"{str(out)!r} holds a run of another config: expected the same, or a new folder")
-        return
-    with replacing(file) as temporary:
-        temporary.write_text(json.dumps(run_record(config, workers=workers, own=own), indent=2) + "\n")
-
-
 def _described(estimator: Estimator) -> str:
     """An estimator in words that are the same in the next run: a dataclass shows its settings, any other its class."""
     kind = type(estimator)
     return repr(estimator) if is_dataclass(estimator) else f"{kind.__module__}.{kind.__qualname__}"
-
-
-def _whole_pairs(file: Path, per_pair: int) -> int:
-    """How many pairs an interrupted run has finished; what it left of the next one is cut off."""
-    if not file.is_file():
-        return 0
-    lines = file.read_bytes().splitlines(keepends=True)
-    whole = sum(line.endswith(b"\r\n") for line in lines) // per_pair
-    if whole and len(next(csv.reader([lines[0].decode()]))) != len(COLUMNS):
-        raise ReorientError(f"{str(file)!r} was begun by another version: expected a new folder")
-    with replacing(file) as temporary:
-        temporary.write_bytes(b"".join(lines[: whole * per_pair]))
-    return whole

@@ -12,16 +12,15 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, cast
 
 import numpy as np
 import zarr
-from joblib import Parallel, delayed, parallel_config
 from zarr.codecs import BloscCodec
 
 from reorient import so3
 from reorient.errors import ReorientError
-from reorient.runs.pool import check_workers
+from reorient.runs.pool import Pool
 from reorient.world.meshes import MOST_VERTICES, some_vertices
 from reorient.world.objects import ObjectSet, ObjectSource
 from reorient.world.pairs import PairSet, sample_pair
@@ -48,40 +47,21 @@ class Progress:
     total: int
 
 
-def generate(
-    config: PairSet, path: str | Path, workers: int = 1, backend: Literal["loky", "ray"] = "loky"
-) -> Iterator[Progress]:
+def generate(config: PairSet, path: str | Path, pool: Pool | None = None) -> Iterator[Progress]:
     """Draw the set into ``path`` (a folder or an fsspec URL), yielding after every shard; finishes what is missing.
 
-    ``backend``: processes of this machine (loky), or a Ray cluster: one that runs, else one started here. Raises
-    ReorientError where ``path`` holds another set or something else.
+    Raises ReorientError where ``path`` holds another set or something else.
     """
-    check_workers(workers)
     group = _create(config, str(path))
     shard = config.chunk * CHUNKS_A_SHARD
     total = cast(Any, group[WHOLE]).shape[0]
     missing = [start for start in range(0, total, shard) if not has_shard(group, start // shard)]
     done = total - sum(min(shard, total - start) for start in missing)
     yield Progress(done, total)
-    tasks = [delayed(_write_shard)(config, str(path), start, min(start + shard, total)) for start in missing]
-    with parallel_config(**_backend(backend), n_jobs=workers):
-        # joblib's Ray backend returns lists only: one of a few shards a worker at a time, to show progress
-        step = 4 * workers if backend == "ray" else len(tasks)
-        how = "list" if backend == "ray" else "generator_unordered"
-        for first in range(0, len(tasks), max(step, 1)):
-            for size in Parallel(return_as=how)(tasks[first : first + step]):
-                done += size
-                yield Progress(done, total)
-
-
-def _backend(name: str) -> dict[str, Any]:
-    if name == "ray":
-        try:
-            from ray.util.joblib import register_ray
-        except ImportError as error:
-            raise ReorientError("ray is not installed: expected `pip install 'reorient[cluster]'`") from error
-        register_ray()
-    return {"backend": name}
+    tasks = [(config, str(path), start, min(start + shard, total)) for start in missing]
+    for size in (pool or Pool()).map(_write_shard, tasks):
+        done += size
+        yield Progress(done, total)
 
 
 @dataclass(frozen=True)
@@ -95,16 +75,14 @@ class Cost:
     """On the local disk; None elsewhere."""
 
 
-def estimate_cost(config: PairSet, path: str | Path, workers: int = 1) -> Cost:
-    """Time and disk of the whole set, from a few pairs made now. Raises ReorientError where the disk is too small, and
-    for no workers."""
-    check_workers(workers)
+def estimate_cost(config: PairSet, path: str | Path, pool: Pool | None = None) -> Cost:
+    """Time and disk of the whole set, from a few pairs made now. Raises ReorientError where the disk is too small."""
     names = config.objects.open().names
     total = len(names) * config.pairs_per_object
     rng = np.random.default_rng(config.seed)
     begin = time.perf_counter()
     images = [_draw(config, names[i], 0, k)["images"] for k, i in enumerate(rng.integers(len(names), size=PROBE))]
-    seconds = (time.perf_counter() - begin) / PROBE * total / workers
+    seconds = (time.perf_counter() - begin) / PROBE * total / (pool or Pool()).count
     packed = zarr.create_array(
         zarr.storage.MemoryStore(),
         data=np.concatenate(images),
@@ -221,7 +199,8 @@ def _draw(config: PairSet, name: str, index: int, pair: int) -> dict[str, Any]:
     }
 
 
-def _write_shard(config: PairSet, path: str, start: int, stop: int) -> int:
+def _write_shard(task: tuple[PairSet, str, int, int]) -> int:
+    config, path, start, stop = task
     names = _names(config.objects)[1]
     drawn = []
     for i in range(start, stop):

@@ -94,7 +94,7 @@ class DepthView:
         self._centre = np.float32(camera.cx + _PAD), np.float32(camera.cy + _PAD)
         self._samples: dict[int, Float[np.ndarray, "3 n"]] = {}
 
-    @property
+    @cached_property
     def diameter_m(self) -> float:
         """Diagonal of the box around the returns; a few stray returns far from the rest do not count."""
         low, high = np.percentile(self.points_m, [1, 99], axis=0)

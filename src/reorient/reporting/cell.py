@@ -13,15 +13,16 @@ import numpy as np
 from PIL import Image
 from rich.console import Console
 from rich.table import Table
+from scipy.stats import binomtest
 
 from reorient.errors import ReorientError
-from reorient.experiments.cell import COLUMNS, END
+from reorient.experiments.cell import END
 from reorient.experiments.cell_trials import Experiment, close_loop, stage
 from reorient.perception.segmentation import object_mask
 from reorient.reporting.loop_figures import error_by_image, errors_by_object, growing_curve
 from reorient.reporting.page import inline_image, page
 from reorient.reporting.pictures import depth_range, montage, png_data_uri, shade, show_mask, write_gif
-from reorient.reporting.rows import read_table, wilson
+from reorient.reporting.rows import read_table
 from reorient.runs.files import replacing
 
 PAPER_DEG = 4.2  # median of the paper's 50 physical trials
@@ -56,9 +57,10 @@ class Loop:
 def read_loops(folder: Path) -> list[Loop]:
     """The loops of a run folder. Raises ReorientError if there are none."""
     keys = ("object", "trial", "low_deg", "high_deg", "estimator", "strategy")
+    needed = (*keys, "image", "error_deg", "moves", "reason")
     loops = []
     for _, group in groupby(
-        read_table(folder / "rows.csv.gz", COLUMNS), key=lambda row: tuple(row[key] for key in keys)
+        read_table(folder / "rows.csv.gz", needed), key=lambda row: tuple(row[key] for key in keys)
     ):
         rows = list(group)
         end = rows[-1]
@@ -94,7 +96,7 @@ def summary(loops: Sequence[Loop]) -> list[list[str]]:
             continue
         final = np.array([loop.errors_deg[-1] for loop in mine])
         moves = [loop.moves for loop in mine]
-        low, high = wilson(int(np.sum(final < 2)), len(final))
+        low, high = binomtest(int(np.sum(final < 2)), len(final)).proportion_ci(method="wilson")
         lines.append(
             [
                 _range(limits),

@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from reorient.experiments.evaluation import Row
 from reorient.reporting.rows import estimators, numbers
 from reorient.reporting.style import DASHES, STYLE, colours_of, degrees, legend, width_inches
+from reorient.runs.run import Row
 
 _FEWEST = 5  # rows of a bin; quartiles of fewer are not drawn
 

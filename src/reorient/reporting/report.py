@@ -10,7 +10,7 @@ from PIL import Image
 
 from reorient import so3
 from reorient.errors import ReorientError
-from reorient.experiments.evaluation import Evaluation, Row, read_config, regenerate
+from reorient.experiments.evaluation import Evaluation, read_config, regenerate
 from reorient.imaging import DepthImage
 from reorient.reporting import figures, trust
 from reorient.reporting.page import inline_image, page
@@ -19,6 +19,7 @@ from reorient.reporting.rows import estimators, numbers, read_rows
 from reorient.reporting.style import svg
 from reorient.reporting.tables import OVERLAP, html_table
 from reorient.runs.files import replacing
+from reorient.runs.run import Row
 
 _MAIN = 3  # number of estimators whose pairs are shown
 _SHOWN = 4  # number of best and of worst pairs shown

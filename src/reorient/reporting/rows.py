@@ -9,13 +9,17 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
+from scipy.stats import binomtest
 
 from reorient.errors import ReorientError
-from reorient.experiments.evaluation import COLUMNS, Row
+from reorient.runs.run import Row
 
-LATER = ("overlap",)  # columns that rows of an earlier version lack: empty there
+NEEDED = (
+    *("object", "pair", "world", "noise_mm", "low_deg", "high_deg", "estimator", "angle_deg", "error_deg"),
+    *("error_sym_deg", "qw", "qx", "qy", "qz", "seconds", "message"),
+)
+OPTIONAL = ("overlap", "confidence")  # empty where rows of an earlier version lack them
 QUARTERS = ((0, 25), (25, 50), (50, 75), (75, 100))  # of the overlap, in percent
-Z95 = 1.959964  # 97.5% point of the normal distribution
 
 
 @dataclass(frozen=True)
@@ -45,8 +49,8 @@ class Summary:
 
 def read_rows(folder: str | Path) -> list[Row]:
     """The rows of ``rows.csv.gz``. Raises ReorientError where it is missing, broken, empty or lacks columns."""
-    rows = read_table(Path(folder) / "rows.csv.gz", [column for column in COLUMNS if column not in LATER])
-    return [dict.fromkeys(LATER, "") | row for row in rows]
+    rows = read_table(Path(folder) / "rows.csv.gz", NEEDED)
+    return [dict.fromkeys(OPTIONAL, "") | row for row in rows]
 
 
 def read_table(file: Path, columns: Sequence[str]) -> list[Row]:
@@ -121,14 +125,6 @@ def by_overlap(rows: Sequence[Row]) -> list[Row]:
     ]
 
 
-def wilson(hits: int, n: int) -> tuple[float, float]:
-    """Wilson's 95% interval of the share that ``hits`` of ``n`` trials estimate."""
-    share = hits / n
-    middle = (share + Z95**2 / (2 * n)) / (1 + Z95**2 / n)
-    half = Z95 / (1 + Z95**2 / n) * float(np.sqrt(share * (1 - share) / n + Z95**2 / (4 * n**2)))
-    return max(middle - half, 0.0), min(middle + half, 1.0)
-
-
 def _summary(estimator: str, cell: tuple[float, float, float], errors_deg: np.ndarray, seconds: np.ndarray) -> Summary:
     n = len(errors_deg)
     below5 = int(np.sum(errors_deg < 5))
@@ -142,6 +138,6 @@ def _summary(estimator: str, cell: tuple[float, float, float], errors_deg: np.nd
         p90_deg=float(np.percentile(errors_deg, 90)),
         within1=float(np.mean(errors_deg < 1)),
         within5=below5 / n,
-        within5_interval=wilson(below5, n),
+        within5_interval=binomtest(below5, n).proportion_ci(method="wilson"),
         seconds=float(np.median(seconds)),
     )

@@ -8,8 +8,8 @@ from itertools import groupby
 from rich.console import Console
 from rich.table import Table
 
-from reorient.experiments.evaluation import Row
 from reorient.reporting.rows import Summary, by_overlap, estimators, summarise
+from reorient.runs.run import Row
 
 _BELOW5 = "< 5° (95% interval)"
 HEADINGS = (

@@ -11,10 +11,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
+from scipy.stats import binomtest
 
-from reorient.experiments.evaluation import Row
-from reorient.reporting.rows import estimators, numbers, wilson
+from reorient.reporting.rows import estimators, numbers
 from reorient.reporting.style import PAGE_INCHES, REFERENCE, STYLE, colours_of, legend
+from reorient.runs.run import Row
 
 CORRECT_DEG = 5.0
 
@@ -39,7 +40,8 @@ class Bin:
     @property
     def interval(self) -> tuple[float, float]:
         """Wilson's 95% interval of that share."""
-        return wilson(self.hits, self.n)
+        low, high = binomtest(self.hits, self.n).proportion_ci(method="wilson")
+        return low, high
 
 
 def confident(rows: Sequence[Row]) -> list[Row]:

@@ -3,6 +3,8 @@
 Named ``reorient.reproducing.baselines:Nothing`` and so on wherever an estimator's name is asked for.
 """
 
+from typing import Any
+
 import numpy as np
 import trimesh
 from jaxtyping import Float
@@ -45,14 +47,15 @@ class ReleasedICP:
     ) -> RotationEstimate:
         """As ``Estimator.estimate``."""
         check_pair(current, goal, pivot_m)
-        T, _, _ = trimesh.registration.icp(_collapsed(current), _collapsed(goal), reflection=True, scale=True)
+        registration: Any = trimesh.registration
+        T, _, _ = registration.icp(_collapsed(current), _collapsed(goal), reflection=True, scale=True)
         left, _, right = np.linalg.svd(T[:3, :3])
         R = left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right
         return _answer(current, goal, R)
 
 
 def _collapsed(image: DepthImage) -> Float[np.ndarray, "n 3"]:
-    points = image.points()
+    points: np.ndarray = image.points()
     points = points[evenly_spaced(len(points), MAX_POINTS)]
     points[:, :2] /= image.camera.width
     return points

@@ -1,10 +1,10 @@
-"""From the rows of the sweeps to sentences: where learning is ahead of geometry, and where that cannot be told."""
+"""From the rows of the sweeps to sentences: where learning is ahead of geometry, and where neither is."""
 
 from collections.abc import Mapping, Sequence
 
-from reorient.experiments.evaluation import Row
 from reorient.reporting.rows import numbers
 from reorient.reproducing.findings import interval
+from reorient.runs.run import Row
 
 RIVALS = (("swift", "gicp"), ("paper", "icp"))  # learned, geometric: the best of each here, then the paper's
 
@@ -27,7 +27,7 @@ def conclude(sweeps: Mapping[str, Mapping[str, Sequence[Row]]]) -> list[str]:
                     wins.append(level)
             parts = [f"{name} is ahead at {_listed(at, len(levels))}" for name, at in ahead.items() if name and at]
             if ahead[""]:
-                parts.append(f"it cannot be told at {_listed(ahead[''], len(levels))}")
+                parts.append(f"no difference is significant at {_listed(ahead[''], len(levels))}")
             sentences.append(f"{sweep.capitalize()}; {learned} and {geometric}: {'; '.join(parts)}.")
     count = sum(len(levels) for levels in sweeps.values())
     first = f"Learning ({RIVALS[0][0]}) is ahead of geometry ({RIVALS[0][1]}) at {len(wins)} of {count} levels"

@@ -22,15 +22,15 @@ WORLD = "benchmark"
 
 @dataclass(frozen=True)
 class Condition:
-    """What a pair is seen under."""
+    """Sensing conditions of a pair."""
 
     noise_mm: float = 1.0
     dropout: float = 0.01
     """Share of the pixels without return."""
-    hidden: float | None = None
+    occluded: float | None = None
     """Share of the start's returns behind a straight band; None: the paper's rectangle."""
     focal_error: float = 0.0
-    """How far the focal length that the estimator is told is off, up or down."""
+    """Relative error of the stated focal length, up or down."""
     size_px: int = 128
     """Of the image; the field of view stays."""
     low_deg: float = 0.0
@@ -65,9 +65,9 @@ SWEEPS: Mapping[str, Sweep] = {
         {x: Condition(dropout=x / 100) for x in (1.0, 5.0, 10.0, 25.0, 50.0)},
     ),
     "occlusion": Sweep(
-        "part of the start hidden, %",
-        "{0.hidden:.0%} hidden",
-        {x: Condition(hidden=x / 100) for x in (0.0, 10.0, 20.0, 35.0, 50.0)},
+        "part of the start occluded, %",
+        "{0.occluded:.0%} occluded",
+        {x: Condition(occluded=x / 100) for x in (0.0, 10.0, 20.0, 35.0, 50.0)},
     ),
     "intrinsics": Sweep(
         "focal length wrong by, %",
@@ -94,17 +94,17 @@ def see(renderer: Renderer, condition: Condition, rng: np.random.Generator) -> P
         randomised(0.001),  # without noise, too, it loses returns as a real camera does
         noise_m=condition.noise_mm / 1000,
         dropout=condition.dropout,
-        rectangle=condition.hidden is None,
+        rectangle=condition.occluded is None,
     )
     poses = (pair.R_camera_object, pair.R_goal_current @ pair.R_camera_object)
     current, goal = (
         _sense(rng, renderer, camera, pose, pair.placement, sensor, world.quantum_m, pose is poses[0]) for pose in poses
     )
-    if condition.hidden:
-        current = _behind_band(current, condition.hidden, rng)
+    if condition.occluded:
+        current = _behind_band(current, condition.occluded, rng)
     wrong = 1 + condition.focal_error * rng.choice([-1, 1])
-    told = replace(camera, fx=camera.fx * wrong, fy=camera.fy * wrong)
-    return replace(pair, current=DepthImage(current.depth_m, told), goal=DepthImage(goal.depth_m, told))
+    stated = replace(camera, fx=camera.fx * wrong, fy=camera.fy * wrong)
+    return replace(pair, current=DepthImage(current.depth_m, stated), goal=DepthImage(goal.depth_m, stated))
 
 
 def _sense(*what: Any) -> DepthImage:
@@ -115,13 +115,13 @@ def _sense(*what: Any) -> DepthImage:
     raise ReorientError("nothing of an object is seen in a hundred images: expected a larger image")
 
 
-def _behind_band(image: DepthImage, hidden: float, rng: np.random.Generator) -> DepthImage:
+def _behind_band(image: DepthImage, occluded: float, rng: np.random.Generator) -> DepthImage:
     """Without this share of the returns: those in a straight band of any direction and place."""
     rows, columns = np.nonzero(image.valid)
     direction = rng.uniform(0, np.pi)
     across = np.cos(direction) * rows + np.sin(direction) * columns
-    first = rng.uniform(0, 1 - hidden)
-    low, high = np.quantile(across, [first, first + hidden])
+    first = rng.uniform(0, 1 - occluded)
+    low, high = np.quantile(across, [first, first + occluded])
     behind = (across >= low) & (across <= high)
     depth_m = image.depth_m.copy()
     depth_m[rows[behind], columns[behind]] = 0

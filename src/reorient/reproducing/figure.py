@@ -1,4 +1,4 @@
-"""What a figure is: three steps, each of which reads what the one before it left on disk."""
+"""A figure: three steps, each of which reads the files of the one before it."""
 
 from collections.abc import Sequence
 from importlib import import_module
@@ -13,10 +13,15 @@ from reorient.reproducing.setting import Setting
 
 @runtime_checkable
 class Figure(Protocol):
-    """What the module of each figure offers."""
+    """Measures, summarises and draws; its fields are sizes, so that tests can make a small one."""
+
+    @property
+    def name(self) -> str:
+        """Of the command and of the folder."""
+        ...
 
     def measure(self, setting: Setting) -> None:
-        """Leave raw rows in ``setting.folder(NAME)``; goes on where an interrupted run stopped."""
+        """Leave raw rows in ``setting.folder(name)``; continues where an interrupted run stopped."""
         ...
 
     def findings(self, folder: Path) -> Sequence[Finding]:
@@ -32,4 +37,4 @@ def load_figure(name: str) -> Figure:
     """A figure by name. Raises ReorientError for an unknown one."""
     if name not in NAMES:
         raise unknown_name("figure", name, list(NAMES))
-    return cast(Figure, import_module(f"reorient.reproducing.{name.replace('-', '_')}"))
+    return cast(Figure, import_module(f"reorient.reproducing.{name.replace('-', '_')}").FIGURE)

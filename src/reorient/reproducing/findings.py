@@ -9,8 +9,8 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
+from scipy.stats import binomtest
 
-from reorient.reporting.rows import wilson
 from reorient.runs.files import replacing
 
 RESAMPLES = 1000
@@ -71,7 +71,7 @@ def number(
 def share(what: str, hits: np.ndarray, groups: Sequence[str], *, paper: str = "", differs: str = "") -> Finding:
     """A share in percent; its interval covers both Wilson's and the bootstrap's, which is empty at 0 and 100%."""
     low, high = interval(hits.astype(float), groups)
-    first, last = wilson(int(hits.sum()), len(hits))
+    first, last = binomtest(int(hits.sum()), len(hits)).proportion_ci(method="wilson")
     return Finding(
         what, 100 * float(np.mean(hits)), 100 * min(low, first), 100 * max(high, last), len(hits), "%", paper, differs
     )

@@ -9,17 +9,17 @@ from rich.table import Table
 
 from reorient.errors import ReorientError
 from reorient.reporting.rows import read_table
-from reorient.reproducing.figure import Figure, load_figure
+from reorient.reproducing.figure import Figure
 from reorient.reproducing.findings import HEADINGS, WORDS, Finding, cells, held, write_findings
 from reorient.reproducing.setting import Setting
 
 MOST_LINES = 80  # of a table on the screen
 
 
-def reproduce(name: str, setting: Setting) -> None:
+def reproduce(figure: Figure, setting: Setting) -> None:
     """Measure what is missing, draw, print the numbers (of a part: whether those of the whole hold)."""
     began = time.monotonic()
-    figure, folder = load_figure(name), setting.folder(name)
+    name, folder = figure.name, setting.folder(figure.name)
     if setting.quick and any(folder.rglob("*.csv.gz")):
         print(f"{name}: compares the rows that are in {folder}; remove them to measure anew", flush=True)
     figure.measure(setting)
@@ -27,7 +27,7 @@ def reproduce(name: str, setting: Setting) -> None:
     write_findings(findings, folder / "numbers.csv")
     written = figure.draw(setting, folder)
     if setting.quick:
-        print(*verdicts(name, findings, figure, setting.out / name, folder), sep="\n")
+        print(*verdicts(figure, findings, setting.out / name, folder), sep="\n")
     else:
         _print(name, findings)
     print(f"{name}: {(time.monotonic() - began) / 60:.1f} minutes; {written[-1]}", flush=True)
@@ -45,27 +45,28 @@ def _print(name: str, findings: Sequence[Finding]) -> None:
     Console(width=max(Console().width, 160)).print(table)
 
 
-def verdicts(name: str, part: Sequence[Finding], figure: Figure, whole: Path, folder: Path) -> list[str]:
+def verdicts(figure: Figure, part: Sequence[Finding], whole: Path, folder: Path) -> list[str]:
     """In lines: the figure as a whole, then each number that differs.
 
     ``whole``: the folder with the rows of the whole figure; ``folder``: with those of the part.
     """
+    name = figure.name
     try:
         full = {finding.what: finding for finding in figure.findings(whole)}
     except ReorientError as error:
         return [f"{name}: not compared, there are no whole rows ({error})"]
     if _objects(folder) - _objects(whole):
         return [f"{name}: not compared, the rows in {whole} are of other objects (see --meshes and --only)"]
-    judged = [(finding, full.get(finding.what)) for finding in part]
-    compared = [(a, b, held(a, b)) for a, b in judged if b is not None]
-    told = [(a, b, holds) for a, b, holds in compared if holds is not None]
-    if not told:
+    matched = [(finding, full.get(finding.what)) for finding in part]
+    compared = [(a, b, held(a, b)) for a, b in matched if b is not None]
+    decided = [(a, b, holds) for a, b, holds in compared if holds is not None]
+    if not decided:
         return [f"{name}: not compared, none of its {len(part)} numbers has an interval and a counterpart"]
-    failed = [f"  differs: {a.what}: {_said(a)}, whole {_said(b)}" for a, b, holds in told if not holds]
-    without = len(part) - len(told)
+    failed = [f"  differs: {a.what}: {_in_words(a)}, whole {_in_words(b)}" for a, b, holds in decided if not holds]
+    without = len(part) - len(decided)
     missing = f"; {without} have no interval or no counterpart" if without else ""
-    verdict = "holds" if len(failed) <= _expected(len(told)) else "DOES NOT HOLD"
-    head = f"{name}: {verdict}: {len(told) - len(failed)} of {len(told)} numbers agree within their 95% intervals"
+    verdict = "holds" if len(failed) <= _expected(len(decided)) else "DOES NOT HOLD"
+    head = f"{name}: {verdict}: {len(decided) - len(failed)} of {len(decided)} numbers agree within their 95% intervals"
     return [f"{head} (one in twenty may differ by chance, twice as many where they fail together){missing}", *failed]
 
 
@@ -74,7 +75,7 @@ def _expected(n: int) -> int:
     return max(1, round(0.1 * n))
 
 
-def _said(finding: Finding) -> str:
+def _in_words(finding: Finding) -> str:
     value, between = cells(finding)[2:4]
     return f"{value} ({between}, n = {finding.n})"
 

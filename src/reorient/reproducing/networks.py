@@ -1,6 +1,6 @@
 """The networks of a figure: pairs drawn, a training run, its weights as ONNX. Needs the extra ``train``.
 
-Every step goes on where an earlier one stopped, and is left out where its result is there.
+Every step continues where an earlier one stopped, and is left out where its result exists.
 """
 
 import shutil
@@ -28,6 +28,7 @@ class Network:
     set_name: str
     """Folder of the pairs."""
     pairs: PairSet
+    recipe: Training = RECIPE
     test_objects: int | None = None
 
     @property
@@ -44,7 +45,9 @@ class Network:
     @property
     def training(self) -> Training:
         """The recipe; no run stops early, so that all have the same budget."""
-        return replace(RECIPE, loss=self.loss, epochs=self.epochs, patience=self.epochs, test_objects=self.test_objects)
+        return replace(
+            self.recipe, loss=self.loss, epochs=self.epochs, patience=self.epochs, test_objects=self.test_objects
+        )
 
     @property
     def kept(self) -> str:
@@ -86,6 +89,6 @@ def _pairs(network: Network, setting: Setting) -> Path:
     except ImportError as error:
         raise ReorientError(f"{error.name} is not installed: expected `pip install 'reorient[train]'`") from error
     path = make_folder(setting.data / "pairs") / network.set_name
-    states = generate(network.pairs, path, setting.workers)
+    states = generate(network.pairs, path, setting.pool)
     setting.progress(f"pairs of {network.set_name}", ((state.done, state.total) for state in states))
     return path

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from reorient.experiments.evaluation import Evaluation, Row, evaluate
+from reorient.experiments.evaluation import Evaluation, evaluate
 from reorient.reporting.curves import Curve, Panel, curves, write_png
 from reorient.reporting.page import inline_image, page
 from reorient.reporting.rows import estimators, numbers, read_rows
@@ -15,6 +15,7 @@ from reorient.reproducing.findings import Finding, html_findings, interval, numb
 from reorient.reproducing.networks import Network
 from reorient.reproducing.setting import Setting
 from reorient.runs.files import replacing
+from reorient.runs.run import Row
 from reorient.world.objects import ObjectSource
 
 NOTHING, RELEASED = (f"reorient.reproducing.baselines:{name}" for name in ("Nothing", "ReleasedICP"))
@@ -27,7 +28,7 @@ def measure_pairs(setting: Setting, folder: Path, objects: ObjectSource, names: 
     config = Evaluation(
         objects, tuple(names), "paper", ((0, 30),), (0.0,), setting.part(pairs), seed=setting.seed
     )  # fmt: skip
-    setting.progress(folder.name, evaluate(config, folder, setting.workers))
+    setting.progress(folder.name, evaluate(config, folder, setting.pool))
 
 
 def labelled(folder: Path, networks: Sequence[Network] = ()) -> list[Row]:
@@ -46,7 +47,7 @@ def of(rows: Sequence[Row], estimator: str) -> list[Row]:
 
 
 def objects_of(rows: Sequence[Row]) -> list[str]:
-    """Whose row each is."""
+    """The object of each row."""
     return [row["object"] for row in rows]
 
 

@@ -1,1 +1,1 @@
-"""Resumable measurement runs: files that are whole or absent, provenance, worker pools."""
+"""Resumable measurement runs: atomic files, raw rows, provenance, worker pools."""

@@ -52,13 +52,3 @@ def write_table(path: str | Path, rows: Sequence[Mapping[str, Any]]) -> None:
     writer.writerows(rows)
     with replacing(path) as temporary:
         temporary.write_bytes(gzip.compress(text.getvalue().encode(), mtime=0))
-
-
-def whole_lines(path: Path) -> list[str]:
-    """The lines that an interrupted run has finished; what it left of the next one is cut off from the file."""
-    if not path.is_file():
-        return []
-    lines = [line for line in path.read_text().splitlines(keepends=True) if line.endswith("\n")]
-    with replacing(path) as temporary:
-        temporary.write_text("".join(lines))
-    return lines

@@ -1,29 +1,94 @@
-"""Processes that work side by side, and end with the one that started them."""
+"""A pool of workers: processes of this machine or a Ray cluster."""
 
 import os
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context, parent_process
+import time
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from importlib import import_module
 from threading import Thread
+from typing import Any, Literal, TypeVar
 
 from reorient.errors import ReorientError
 
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+Backend = Literal["processes", "ray"]
 
-def check_workers(workers: int) -> None:
-    """Raise ReorientError for a number of processes that can do nothing."""
-    if workers < 1:
-        raise ReorientError(f"{workers} workers: expected at least 1")
-
-
-def processes(workers: int) -> ProcessPoolExecutor:
-    """A pool of so many; they do not survive the caller, even if that is killed."""
-    return ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_watch)
+_RAY_TASKS = 4  # of each worker in a batch: joblib returns no result of a Ray batch before the whole batch is done
+_POLL_S = 0.5
 
 
-def _watch() -> None:
-    Thread(target=_end_with_parent, daemon=True).start()
+@dataclass(frozen=True)
+class Pool:
+    """Number and kind of the workers. Results depend on neither."""
+
+    workers: int = 1
+    """Number of worker processes; -1: one per core."""
+    backend: Backend = "processes"
+    """Where they run: on this machine, or on a Ray cluster (extra ``cluster``), which is started here unless
+    RAY_ADDRESS names one."""
+
+    def __post_init__(self) -> None:
+        """Raises ReorientError for a number of workers other than -1, 1, 2, ..."""
+        if self.workers < 1 and self.workers != -1:
+            raise ReorientError(f"{self.workers} workers: expected at least 1, or -1 for one per core")
+
+    @property
+    def count(self) -> int:
+        """The number of workers; asking a Ray cluster for its cores connects to it or starts it."""
+        if self.workers != -1:
+            return self.workers
+        return int(_ray().cluster_resources()["CPU"]) if self.backend == "ray" else os.cpu_count() or 1
+
+    def map(self, function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[Result]:
+        """The results in the order of the tasks, each as soon as it and those before it are there.
+
+        One worker of backend "processes" is the calling process. Worker processes end with the calling process, even
+        if that is killed. Raises ReorientError where Ray is not installed, and whatever ``function`` raises.
+        """
+        if self.backend == "ray":
+            return self._map_on_ray(function, tasks)
+        return map(function, tasks) if self.count == 1 else self._map_on_processes(function, tasks)
+
+    def _map_on_processes(self, function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[Result]:
+        from joblib import Parallel, delayed
+
+        warnings.filterwarnings("ignore", ".* tasks which were still being processed", UserWarning)  # an interruption
+        parallel: Any = Parallel(
+            self.count, return_as="generator", backend="loky", max_nbytes=None,
+            initializer=_end_with, initargs=(os.getpid(),),
+        )  # fmt: skip
+        yield from parallel(delayed(function)(task) for task in tasks)
+
+    def _map_on_ray(self, function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[Result]:
+        from joblib import Parallel, delayed, parallel_config
+
+        _ray()
+        count, step = self.count, _RAY_TASKS * self.count
+        with parallel_config(backend="ray", n_jobs=count), Parallel(max_nbytes=None) as parallel:
+            for start in range(0, len(tasks), step):
+                yield from parallel(delayed(function)(task) for task in tasks[start : start + step])
 
 
-def _end_with_parent() -> None:
-    if (parent := parent_process()) is not None:
-        parent.join()
+def _ray() -> Any:
+    """Ray, connected, and known to joblib."""
+    try:
+        ray, ray_joblib = import_module("ray"), import_module("ray.util.joblib")
+    except ImportError as error:
+        raise ReorientError("ray is not installed: expected `pip install 'reorient[cluster]'`") from error
+    ray_joblib.register_ray()
+    if not ray.is_initialized():
+        ray.init(include_dashboard=False, log_to_driver=False)
+    return ray
+
+
+def _end_with(parent: int) -> None:
+    """End this worker with the process that started it (which Windows does not show: there it ends when idle)."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(_POLL_S)
         os._exit(1)
+
+    Thread(target=watch, daemon=True).start()

@@ -1,4 +1,4 @@
-"""What made a run: its config, version, commit and command, kept beside its rows."""
+"""Provenance of a run: config, version, commit and command, in a file beside its rows."""
 
 import json
 import shlex
@@ -14,26 +14,30 @@ from reorient.runs.files import replacing
 
 
 def run_record(config: Any, **more: Any) -> dict[str, Any]:
-    """What made a run, for its config.json: the config (a dataclass), version, commit and command."""
-    asked = json.loads(json.dumps(asdict(config), default=str))
+    """The contents of config.json: the config (a dataclass), version, commit and command."""
+    plain = json.loads(json.dumps(asdict(config), default=str))
     command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
-    return {"config": asked, "version": __version__, "commit": commit(), "command": command, **more}
+    return {"config": plain, "version": __version__, "commit": commit(), "command": command, **more}
 
 
-def keep_record(file: Path, config: Any, run: str) -> None:
-    """Write what makes a run into ``file``, or compare with what made it. Raises ReorientError for another config, in
-    which ``run`` names the run."""
-    record = run_record(config)
+def keep_record(file: Path, record: dict[str, Any], compared: tuple[str, ...] = ("config",)) -> None:
+    """Write the record of a run, or compare it with the one in the file.
+
+    Raises ReorientError where the file has another value for one of the keys ``compared``, or is broken.
+    """
     if not file.is_file():
         with replacing(file) as temporary:
             temporary.write_text(json.dumps(record, indent=2) + "\n")
         return
-    if read_record(file).get("config") != record["config"]:
-        raise ReorientError(f"{run} is of another config: expected the same, or a new folder")
+    earlier = read_record(file)
+    if any(earlier.get(key) != record[key] for key in compared):
+        raise ReorientError(
+            f"{str(file.parent)!r} holds a run of another config: expected the same config, or a new folder"
+        )
 
 
 def read_record(file: Path) -> dict[str, Any]:
-    """What is kept in ``file``. Raises ReorientError where it is torn or something else."""
+    """The record in a file. Raises ReorientError where it is broken."""
     try:
         return dict(json.loads(file.read_text()))
     except (ValueError, TypeError) as error:
@@ -41,7 +45,7 @@ def read_record(file: Path) -> dict[str, Any]:
 
 
 def commit() -> str | None:
-    """What this package is at, in a clone of its repository; None where it is installed."""
+    """The commit of this package in a clone of its repository; None where it is installed."""
     try:
         root = Path(__file__).parents[3]
         if not (root / "pyproject.toml").is_file():  # installed: a repository around it is somebody else's

@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from reorient.errors import ReorientError
-from reorient.runs.pool import check_workers, processes
+from reorient.runs.pool import Pool
 from reorient.world.meshes import scale_to_radius
 from reorient.world.objects import ObjectSource
 from reorient.world.symmetry import SYMMETRIC_BELOW, rotation_group
@@ -17,15 +17,13 @@ FIGURES = ("faces", "genus", "aspect", "convexity", "symmetry_residual")
 CHUNK = 8  # objects per task of a worker
 
 
-def describe(source: ObjectSource, workers: int = 1) -> Iterator[tuple[dict[str, str], int]]:
+def describe(source: ObjectSource, pool: Pool | None = None) -> Iterator[tuple[dict[str, str], int]]:
     """One row per object, in the order of the set, with the total number of objects."""
-    check_workers(workers)
     names = source.open().names
     tasks = [(source, names[start : start + CHUNK]) for start in range(0, len(names), CHUNK)]
-    with processes(workers) as pool:
-        for rows in pool.map(_describe_chunk, tasks) if workers > 1 else map(_describe_chunk, tasks):
-            for row in rows:
-                yield row, len(names)
+    for rows in (pool or Pool()).map(_describe_chunk, tasks):
+        for row in rows:
+            yield row, len(names)
 
 
 def describe_mesh(mesh: trimesh.Trimesh) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""The judge's data and training, on a few objects."""
+"""The verifier's data, on a few objects."""
 
 from dataclasses import replace
 
@@ -7,10 +7,10 @@ import pytest
 
 from reorient.errors import ReorientError
 from reorient.estimators.verifier import FEATURES
-from reorient.learning.verifier import JudgeData, make, read
+from reorient.learning.verifier import VerifierData, make, read
 from reorient.world.objects import ObjectSource
 
-CONFIG = JudgeData(ObjectSource(count=2), pairs=2, per_shard=1, effort="fast")
+CONFIG = VerifierData(ObjectSource(count=2), pairs=2, per_shard=1, effort="fast")
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def test_every_hypothesis_is_a_row(shards):
     folder, states = shards
     data = read(folder)
     assert states == [(0, 2), (1, 2), (2, 2)]
-    assert data.figures.shape == (len(data.pair), len(FEATURES))
+    assert data.features.shape == (len(data.pair), len(FEATURES))
     assert set(data.pair.tolist()) == {0, 1, 2, 3}
     assert set(data.object.tolist()) == {0, 1}
     assert data.right.any()
@@ -37,19 +37,17 @@ def test_goes_on_and_repeats_itself(shards, tmp_path):
     again = read(folder)
     (folder / "shard-000001.npz").unlink()
     assert list(make(CONFIG, folder)) == [(1, 2), (2, 2)]
-    np.testing.assert_array_equal(read(folder).figures, again.figures)
+    np.testing.assert_array_equal(read(folder).features, again.features)
 
 
 def test_shards_of_another_config_are_not_mixed(shards):
     folder, _ = shards
-    with pytest.raises(ReorientError, match="is of another config: expected the same, or a new folder"):
+    with pytest.raises(ReorientError, match="holds a run of another config: expected the same config, or a new folder"):
         list(make(replace(CONFIG, seed=1), folder))
-    with pytest.raises(ReorientError, match="0 workers: expected at least 1"):
-        list(make(CONFIG, folder, workers=0))
 
 
 @pytest.mark.parametrize(
-    ("bad", "said"),
+    ("bad", "message"),
     [
         ({"effort": "foo"}, "unknown effort 'foo'"),
         ({"world": "foo"}, "unknown world 'foo'"),
@@ -59,16 +57,16 @@ def test_shards_of_another_config_are_not_mixed(shards):
         *(({"most_wrong_focal": value}, "a share below 1") for value in (-0.1, 1.0, np.nan)),
     ],
 )
-def test_what_cannot_be_made_is_refused(bad, said):
-    with pytest.raises(ReorientError, match=said):
-        JudgeData(**bad)
+def test_what_cannot_be_made_is_refused(bad, message):
+    with pytest.raises(ReorientError, match=message):
+        VerifierData(**bad)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.99])
 def test_a_broken_shard_is_named(share, shards, tmp_path):
     whole = (shards[0] / "shard-000000.npz").read_bytes()
     (tmp_path / "shard-000000.npz").write_bytes(whole[: int(share * len(whole))])
-    with pytest.raises(ReorientError, match="cannot read .*shard-000000.npz.*expected what `judge make` wrote"):
+    with pytest.raises(ReorientError, match="cannot read .*shard-000000.npz.*expected a file of `verifier make`"):
         read(tmp_path)
 
 

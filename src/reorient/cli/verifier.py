@@ -1,0 +1,62 @@
+"""The verifier's verbs: make its data, train it."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from reorient.cli.arguments import Positional
+from reorient.cli.learning import require
+from reorient.cli.progress import show_progress
+from reorient.learning.verifier import VerifierData
+from reorient.runs.pool import Pool
+
+
+@dataclass(frozen=True)
+class Make:
+    """Generate hypotheses of known error to train the verifier on.
+
+    One file holds those of a few objects. An interrupted run continues where it stopped.
+
+    Examples:
+        reorient verifier make out/verifier --count 5000 --workers 2
+    """
+
+    out: Positional[Path]
+    """Folder for config.json and the shards."""
+    config: VerifierData = field(default_factory=VerifierData)
+    pool: Pool = field(default_factory=Pool)
+
+    def run(self) -> None:
+        """Make all shards that are missing."""
+        from reorient.learning.verifier import make
+
+        show_progress("shards", make(self.config, self.out, self.pool))
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train the verifier on generated hypotheses.
+
+    Its figures on held-out objects are printed. Needs the extra ``train``.
+
+    Examples:
+        reorient verifier train out/verifier out/verifier.npz
+    """
+
+    data: Positional[Path]
+    """Folder of ``reorient verifier make``."""
+    out: Positional[Path]
+    """File to write (.npz)."""
+    fast: Path | None = None
+    """Folder of other objects with ``--effort fast``, to calibrate that effort."""
+    thorough: Path | None = None
+    """Folder of other objects with ``--effort thorough``, to calibrate that effort."""
+
+    def run(self) -> None:
+        """Read, train, write, print."""
+        require("train", "sklearn")
+        from reorient.learning.verifier import read, train
+
+        folders = {"fast": self.fast, "thorough": self.thorough}
+        others = {effort: read(folder) for effort, folder in folders.items() if folder is not None}
+        for name, value in train(read(self.data), self.out, others).items():
+            print(f"{name}: {value:.4g}")

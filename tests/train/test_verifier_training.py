@@ -1,0 +1,43 @@
+"""The verifier that is written is the one that was trained."""
+
+import numpy as np
+import pytest
+
+from reorient.estimators.verifier import FEATURES, load_verifier
+from reorient.learning.trees import fit_platt, fit_trees
+from reorient.learning.verifier import Shards, Training, held_out, train
+
+FEW = Training(trees=20)
+
+
+def test_the_written_trees_are_the_trained_ones(tmp_path, rng):
+    features = rng.normal(size=(3000, len(FEATURES))).astype(np.float32)
+    right = features[:, 3] + 0.5 * features[:, 7] * features[:, 1] > 0.3
+    data = Shards(features, np.where(right, 1.0, 90.0), np.arange(3000) // 6, np.arange(3000) // 60)
+    train(data, tmp_path / "verifier.npz", training=FEW)
+    verifier = load_verifier(tmp_path / "verifier.npz")
+    apart = held_out(data, FEW)
+    assert 0.1 < apart.mean() < 0.3
+    model = fit_trees(features[~apart], right[~apart], FEW.trees)
+    log_odds = model.decision_function(features)
+    np.testing.assert_allclose(verifier.log_odds(features.astype(float)), log_odds, atol=1e-6)
+    assert np.mean((log_odds[apart] > 0) == right[apart]) > 0.8
+
+
+def test_every_effort_is_calibrated_on_its_own(tmp_path, rng):
+    """Where the same features tell less, the log-odds are drawn in."""
+    features = rng.normal(size=(4000, len(FEATURES))).astype(np.float32)
+    certain = features[:, 3] > 0
+    pair, thing = np.arange(4000) // 2, np.arange(4000) // 40
+    clear = Shards(features, np.where(certain, 1.0, 90.0), pair, thing)
+    vague = Shards(features, np.where(certain ^ (rng.random(4000) < 0.3), 1.0, 90.0), pair, thing)
+    train(clear, tmp_path / "verifier.npz", {"fast": vague}, FEW)
+    calibration = load_verifier(tmp_path / "verifier.npz").calibration
+    assert calibration["fast"][0] < 0.5 * calibration["normal"][0]
+    assert calibration["thorough"] == calibration["normal"]
+
+
+def test_platt_scaling_finds_scale_and_shift(rng):
+    log_odds = rng.normal(0, 3, 40_000)
+    right = rng.random(40_000) < 1 / (1 + np.exp(-(0.6 * log_odds - 0.4)))
+    assert fit_platt(log_odds, right) == pytest.approx((0.6, -0.4), abs=0.04)
