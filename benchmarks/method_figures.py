@@ -293,7 +293,7 @@ def _errors_deg(index: int, pair: Pair, hypotheses: Hypotheses) -> Float[np.ndar
     """Symmetry-aware."""
     group = rotation_group(_mesh(index))
     errors = [symmetric_error(group, R, pair.R_goal_current, pair.R_camera_object) for R in hypotheses.R]
-    return np.degrees(np.array(errors))
+    return np.asarray(np.degrees(np.array(errors)))
 
 
 def _log_odds(problem: Problem, hypotheses: Hypotheses) -> Float[np.ndarray, " k"]:

@@ -130,7 +130,7 @@ def _chosen(
         best = np.argmin([symmetric_error(group, R, pair.R_goal_current, pair.R_camera_object) for R in hypotheses.R])
     else:
         best = np.intp(0)
-    return hypotheses.R[best]
+    return np.asarray(hypotheses.R[best])
 
 
 HEAD = (
