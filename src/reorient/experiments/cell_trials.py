@@ -19,7 +19,7 @@ from reorient import so3
 from reorient.controller import OrientResult, Step, orient
 from reorient.errors import ReorientError, StationError
 from reorient.experiments.cached import cached_object
-from reorient.experiments.systems import load_system, names_of
+from reorient.experiments.systems import load_system
 from reorient.imaging import DepthImage
 from reorient.perception.calibration import read_calibration
 from reorient.perception.colour import ColourRange
@@ -67,7 +67,7 @@ class Experiment:
     def __post_init__(self) -> None:
         """Raises ReorientError for what cannot be run."""
         for system in self.systems:
-            names_of(system)
+            load_system(system)
         for low, high in self.ranges_deg:
             if not 0 < low <= high <= 180:
                 raise ReorientError(f"range {low:g} to {high:g} degrees: expected 0 < low <= high <= 180")

@@ -70,7 +70,7 @@ class Loops:
         """Raises ReorientError for values out of range, unknown systems and an unknown world."""
         load_world(self.world)
         for system in self.systems:
-            names_of(system)
+            load_system(system)
         for start in self.start_deg:
             if start != "any" and not 0 < _number(start) <= 180:
                 raise ReorientError(f"start {start!r}: expected degrees from 0 to 180, or 'any'")
