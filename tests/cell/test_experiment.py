@@ -21,7 +21,7 @@ def folder(tmp_path_factory):
 
 def test_rows_masks_page_and_animation(folder):
     assert {path.name for path in folder.iterdir()} == {
-        *("config.json", "rows.csv.gz", "masks.csv.gz", "report.html", "cell.gif")
+        *(".lock", "config.json", "rows.csv.gz", "masks.csv.gz", "report.html", "cell.gif")
     }
     (loop,) = read_loops(folder)
     assert loop.errors_deg[0] == pytest.approx(30, abs=0.5)
@@ -64,7 +64,7 @@ def test_the_same_seed_makes_the_same_stage():
         (["--calibration", "none.json"], "no calibration file 'none.json'"),
         (["--arm", "none.xml"], "no arm file 'none.xml'"),
         (["--systems", "gicp/tomorrow"], "unknown strategy"),
-        (["--systems", "gicp"], "unknown strategy"),
+        (["--systems", "gicp"], "system 'gicp': expected an estimator and a strategy"),
         (["--systems", "gicq/direct"], "did you mean 'gicp'"),
         (["--ranges-deg", "0", "200"], "expected 0 < low <= high <= 180"),
         (["--gripper-saturation", "0.5", "20"], "expected degrees"),

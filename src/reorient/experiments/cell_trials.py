@@ -19,7 +19,7 @@ from reorient import so3
 from reorient.controller import OrientResult, Step, orient
 from reorient.errors import ReorientError, StationError
 from reorient.experiments.cached import cached_object
-from reorient.experiments.systems import load_system, names_of
+from reorient.experiments.systems import load_system
 from reorient.imaging import DepthImage
 from reorient.perception.calibration import read_calibration
 from reorient.perception.colour import ColourRange
@@ -42,13 +42,13 @@ class Experiment:
     objects: int = 5
     """Number of objects, drawn by a hash of the name among those without symmetry that the gripper can hold."""
     trials: int = 10
-    """Goals and starts of each object."""
+    """Number of goals and starts of each object."""
     systems: tuple[str, ...] = ("default/fusing", "gicp/direct")
-    """Estimator and strategy: fusing, algorithm1 (eta 0.2, delta 0.5 deg), direct (eta 1). At most 50 images."""
+    """Systems, each an estimator and a strategy: fusing, algorithm1 or direct (eta 1). At most 50 images."""
     ranges_deg: tuple[tuple[float, float], ...] = ((30, 30),)
     """Ranges of the angle between start and goal."""
     noise_mm: float = 0.5
-    """Depth noise."""
+    """Standard deviation of the depth noise."""
     slip_nm: float | None = None
     """Torque at which the object slips in the fingers, by default never."""
     segmentation: str = "shape"
@@ -67,7 +67,7 @@ class Experiment:
     def __post_init__(self) -> None:
         """Raises ReorientError for what cannot be run."""
         for system in self.systems:
-            names_of(system)
+            load_system(system)
         for low, high in self.ranges_deg:
             if not 0 < low <= high <= 180:
                 raise ReorientError(f"range {low:g} to {high:g} degrees: expected 0 < low <= high <= 180")
