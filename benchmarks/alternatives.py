@@ -6,17 +6,18 @@ One row a pair of images, all angles, after the objects with a finite group and 
 revolution leaves no finite set of answers, so such objects are left out.
 """
 
+import sys
 import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import trimesh
-import tyro
 from rich.progress import track
 from scipy.stats import binomtest
 
 from reorient import load_estimator, so3
+from reorient.cli.arguments import Positional, parse
 from reorient.reporting.trust import CORRECT_DEG
 from reorient.runs.files import make_folder, write_table
 from reorient.world.objects import ObjectSource
@@ -29,11 +30,11 @@ from reorient.world.symmetry import SymmetryGroup, rotation_group, symmetric_err
 
 @dataclass(frozen=True)
 class Alternatives:
-    """What to run."""
+    """Do the alternatives cover symmetry: do they include the true rotation where others are equivalent?"""
 
-    out: tyro.conf.Positional[Path]
+    out: Positional[Path]
     """CSV.gz to write."""
-    source: tyro.conf.OmitArgPrefixes[ObjectSource] = field(default_factory=ObjectSource)
+    source: ObjectSource = field(default_factory=ObjectSource)
     objects: int = 40
     """With a finite symmetry, and as many without."""
     pairs: int = 4
@@ -103,4 +104,4 @@ def _chosen(config: Alternatives) -> dict[str, list[tuple[str, trimesh.Trimesh, 
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Alternatives, description=__doc__))
+    main(parse(Alternatives, "benchmarks/alternatives.py", sys.argv[1:]))

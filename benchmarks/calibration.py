@@ -6,12 +6,13 @@ Right means a symmetry-aware error below 5 degrees. The calibration error is ove
 weighted by its pairs.
 """
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import tyro
 
+from reorient.cli.arguments import Positional, parse
 from reorient.reporting.rows import numbers, read_rows
 from reorient.reporting.trust import calibration_error, confidence_and_correct, confident, figure, reliability, risk
 from reorient.runs.files import replacing
@@ -21,7 +22,7 @@ from reorient.runs.files import replacing
 class Calibration:
     """Which rows."""
 
-    folder: tyro.conf.Positional[Path]
+    folder: Positional[Path]
     """What ``reorient evaluate`` wrote."""
     estimator: str = "default"
     bins: int = 10
@@ -65,4 +66,4 @@ def main(config: Calibration) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Calibration, description=__doc__))
+    main(parse(Calibration, "benchmarks/calibration.py", sys.argv[1:]))

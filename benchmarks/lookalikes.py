@@ -7,6 +7,7 @@ shows nearly the same makes a look-alike. Both poses are then captured as a loop
 the goal's and of the look-alike's. One row a look-alike and number of captures: what speaks for the right pose.
 """
 
+import sys
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -14,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-import tyro
 from jaxtyping import Float
 from rich.progress import track
 
 from reorient import load_estimator, so3
+from reorient.cli.arguments import Positional, parse
 from reorient.controller.arrival import ArrivalTest, Observation, PreparedImage
 from reorient.estimators.base import Estimator
 from reorient.registration import DepthView, build_problem, refine
@@ -38,11 +39,11 @@ ARRIVAL_RAD = float(np.radians(0.2))
 
 @dataclass(frozen=True)
 class Lookalikes:
-    """What to run."""
+    """Of two poses that both match the goal, which is chosen? By inlier ratios, and by depth differences."""
 
-    out: tyro.conf.Positional[Path]
+    out: Positional[Path]
     """CSV.gz to write."""
-    source: tyro.conf.OmitArgPrefixes[ObjectSource] = field(default_factory=ObjectSource)
+    source: ObjectSource = field(default_factory=ObjectSource)
     views: int = 16
     """Of each object."""
     draws: int = 2
@@ -161,4 +162,4 @@ def _compared(
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Lookalikes, description=__doc__))
+    main(parse(Lookalikes, "benchmarks/lookalikes.py", sys.argv[1:]))

@@ -3,6 +3,7 @@
 python benchmarks/method_figures.py docs/method
 """
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -12,7 +13,6 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 import trimesh
-import tyro
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from reorient import Camera, DepthImage, Fusing, load_estimator, orient, so3
+from reorient.cli.arguments import Positional, parse
 from reorient.estimators.polish import covariance_rad2, polish
 from reorient.estimators.search import EFFORTS, Effort, perturb_and_select, propose, search
 from reorient.estimators.verifier import features, load_verifier
@@ -60,9 +61,9 @@ LOOP = 1  # object and seed of the closed loop
 
 @dataclass(frozen=True)
 class MethodFigures:
-    """Where to draw."""
+    """The figures of docs/method.md, from generated objects and fixed seeds."""
 
-    out: tyro.conf.Positional[Path] = Path("docs/method")
+    out: Positional[Path] = Path("docs/method")
     """Folder for the PNG files."""
 
 
@@ -292,7 +293,7 @@ def _errors_deg(index: int, pair: Pair, hypotheses: Hypotheses) -> Float[np.ndar
     """Symmetry-aware."""
     group = rotation_group(_mesh(index))
     errors = [symmetric_error(group, R, pair.R_goal_current, pair.R_camera_object) for R in hypotheses.R]
-    return np.degrees(np.array(errors))
+    return np.asarray(np.degrees(np.array(errors)))
 
 
 def _log_odds(problem: Problem, hypotheses: Hypotheses) -> Float[np.ndarray, " k"]:
@@ -396,4 +397,4 @@ DRAWINGS = (
 )
 
 if __name__ == "__main__":
-    main(tyro.cli(MethodFigures, description=__doc__))
+    main(parse(MethodFigures, "benchmarks/method_figures.py", sys.argv[1:]))

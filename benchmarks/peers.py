@@ -10,13 +10,14 @@ results/household-tuning.txt (15 for each of 30-60, 60-90 and 90-180 degrees, 1 
 A peer that does not import here (open3d needs the system's libusb and libGL) is named below the table, and left out.
 """
 
+import sys
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import tyro
 from rich.console import Console
 
 from registration import Fast, Features, Kiss, Peer, Ransac, Starts, optional
+from reorient.cli.arguments import Positional, parse
 from reorient.cli.progress import show_progress
 from reorient.errors import ReorientError
 from reorient.experiments.evaluation import Evaluation, evaluate
@@ -68,7 +69,7 @@ TUNING = (
 class Peers:
     """What to run."""
 
-    out: tyro.conf.Positional[Path]
+    out: Positional[Path]
     """Folder for config.json and rows.csv.gz."""
     config: Evaluation = field(
         default_factory=lambda: Evaluation(
@@ -105,4 +106,4 @@ def main(config: Peers) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Peers, description=__doc__, config=(tyro.conf.OmitArgPrefixes,)))
+    main(parse(Peers, "benchmarks/peers.py", sys.argv[1:]))

@@ -11,6 +11,7 @@ Wilson's interval stands the paired difference from "verifier", with a bootstrap
 object are not independent) and McNemar's exact test.
 """
 
+import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -18,11 +19,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tyro
 from jaxtyping import Bool, Float
 from scipy.stats import binomtest
 
 from reorient import load_estimator
+from reorient.cli.arguments import Positional, parse
 from reorient.cli.progress import show_progress
 from reorient.errors import ReorientError
 from reorient.estimators.search import EFFORTS, Effort, search
@@ -76,9 +77,9 @@ VARIANTS = (
 
 @dataclass(frozen=True)
 class Stages:
-    """What to run."""
+    """Ablation of ``rotation-search``: stages left out, fewer hypotheses, the verifier beside other choices."""
 
-    out: tyro.conf.Positional[Path]
+    out: Positional[Path]
     """Folder for config.json and rows.csv.gz."""
     config: Evaluation = field(
         default_factory=lambda: Evaluation(
@@ -129,7 +130,7 @@ def _chosen(
         best = np.argmin([symmetric_error(group, R, pair.R_goal_current, pair.R_camera_object) for R in hypotheses.R])
     else:
         best = np.intp(0)
-    return hypotheses.R[best]
+    return np.asarray(hypotheses.R[best])
 
 
 HEAD = (
@@ -208,4 +209,4 @@ def main(config: Stages) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Stages, description=__doc__, config=(tyro.conf.OmitArgPrefixes,)))
+    main(parse(Stages, "benchmarks/stages.py", sys.argv[1:]))

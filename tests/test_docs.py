@@ -134,7 +134,9 @@ def all_options() -> set[str]:
     """Of all verbs and benchmarks."""
     scripts = "".join(path.read_text() for path in (ROOT / "benchmarks").glob("*.py"))
     fields = re.findall(r"^    (\w+): ", scripts, re.MULTILINE)
-    return options("".join(map(help_of, verbs()))) | {f"--{field.replace('_', '-')}" for field in fields}
+    return options(printed_help() + "".join(map(help_of, verbs()))) | {
+        f"--{field.replace('_', '-')}" for field in fields
+    }
 
 
 def unknown_make(words: list[str]) -> list[str]:

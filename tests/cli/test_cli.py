@@ -96,7 +96,7 @@ def test_an_estimate_in_words():
         "translation   [0.1000 0.0000 -0.0200] m",
         "confidence    99.9% (error below 5 deg)",
         "inliers       30% (86% of co-visible points), residual 0.49 mm",
-        "violations    2% of free space, 3% of the silhouette",
+        "violations    free space 2%, silhouette 3%",
         "occluded      65%",
         "alternative   12.3%: the estimate rotated by 180.00 deg about [0.0000 0.0000 1.0000]",
     ]

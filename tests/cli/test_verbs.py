@@ -53,7 +53,7 @@ def test_every_option_has_a_help_text_that_is_a_sentence(verb):
     assert "-h" in options
     for name, text in options.items():
         sentence = re.sub(r" \(default: .*\)$", "", text)
-        assert re.fullmatch(r"[A-Z0-9].*[a-z0-9)'\"]\.", sentence), f"{verb} {name}: {text!r}"
+        assert re.fullmatch(r"[A-Z0-9].*[a-z0-9)\]'\"]\.", sentence), f"{verb} {name}: {text!r}"
 
 
 @pytest.mark.parametrize("verb", VERBS)

@@ -84,8 +84,8 @@ def make_parser(config: type, program: str) -> argparse.ArgumentParser:
     groups: dict[str, Any] = {"": options}
     for option in _flat(config):
         if option.group not in groups:
-            title, _, description = option.group.partition("\n\n")
-            title = title[0].lower() + title[1:].rstrip(".")
+            title, _, description = option.group.partition(".")
+            title = title[0].lower() + title[1:]
             groups[option.group] = parser.add_argument_group(title, " ".join(description.split()) or None)
         option.add_to(positionals if option.positional else groups[option.group])
     options.add_argument("-h", "--help", action="help", help="Show this help and exit.")

@@ -154,8 +154,8 @@ def in_words(estimate: "RotationEstimate") -> str:
         f"translation   {_vector(estimate.t_goal_current_m, 4)} m",
         f"confidence    {confidence_in_words(estimate.confidence)}",
         f"inliers       {inliers_in_words(evidence)}, residual {format_number(1000 * evidence.residual_m)} mm",
-        f"violations    {format_share(evidence.free_space_violation)} of free space, "
-        f"{format_share(evidence.silhouette_violation)} of the silhouette",
+        f"violations    free space {format_share(evidence.free_space_violation)}, "
+        f"silhouette {format_share(evidence.silhouette_violation)}",
         f"occluded      {format_share(evidence.occluded)}",
     ]
     for R, probability in estimate.alternatives:

@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
-from reorient.cli.arguments import Positional
+from reorient.cli.arguments import Metavar, Positional
 from reorient.cli.progress import show_progress
 from reorient.errors import ReorientError
 from reorient.reproducing import NAMES, Name
@@ -22,8 +23,8 @@ class Reproduce:
         reorient reproduce --quick
     """
 
-    name: Positional[Name | None] = None
-    """Name of the figure. With --quick, all figures unless one is named."""
+    name: Annotated[Positional[Name | None], Metavar("FIGURE")] = None
+    """One of object-sets, best-worst, sweeps, controller, non-symmetric and full, with --quick by default all."""
     quick: bool = False
     """Measure a tenth on other pairs, with a tenth of the epochs, and compare it with the rows in --out."""
     data: Path = Path("out/reproduce")

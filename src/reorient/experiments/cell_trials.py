@@ -42,13 +42,13 @@ class Experiment:
     objects: int = 5
     """Number of objects, drawn by a hash of the name among those without symmetry that the gripper can hold."""
     trials: int = 10
-    """Goals and starts of each object."""
+    """Number of goals and starts of each object."""
     systems: tuple[str, ...] = ("default/fusing", "gicp/direct")
-    """Estimator and strategy: fusing, algorithm1 (eta 0.2, delta 0.5 deg), direct (eta 1). At most 50 images."""
+    """Systems, each an estimator and a strategy: fusing, algorithm1 or direct (eta 1). At most 50 images."""
     ranges_deg: tuple[tuple[float, float], ...] = ((30, 30),)
     """Ranges of the angle between start and goal."""
     noise_mm: float = 0.5
-    """Depth noise."""
+    """Standard deviation of the depth noise."""
     slip_nm: float | None = None
     """Torque at which the object slips in the fingers, by default never."""
     segmentation: str = "shape"

@@ -72,7 +72,7 @@ class Evaluation:
     ranges_deg: tuple[tuple[float, float], ...] = ((0, 30), (30, 60))
     """Ranges of the angle between start and goal."""
     noise_mm: tuple[float, ...] = (0.0, 1.0)
-    """Depth noise of the structured-light sensor. At 0 there are still rectangle and dropouts."""
+    """Standard deviation of the sensor's depth noise, besides occluded pixels and dropouts."""
     pairs: int = 300
     """Number of pairs for each range and noise, spread over the objects."""
     pivot: bool = False

@@ -46,25 +46,25 @@ class Loops:
     source: ObjectSource = field(default_factory=ObjectSource)
     """Where the objects come from."""
     systems: tuple[str, ...] = ("default/fusing", "gicp/algorithm1")
-    """Each an estimator and a strategy: fusing, algorithm1 (eta 0.2, delta 0.5 degrees) or direct (eta 1)."""
+    """Systems, each an estimator and a strategy: fusing, algorithm1 (eta 0.2, delta 0.5 deg) or direct (eta 1)."""
     objects: int = 22
     """Number of objects, drawn from the source by a hash of the name."""
     trials: int = 20
-    """Goals and starts of each object."""
+    """Number of goals and starts of each object."""
     start_deg: tuple[str, ...] = ("30", "any")
-    """Angles between start and goal; "any": uniform over SO(3)."""
+    """Angles between start and goal, or any for starts that are uniform over SO(3)."""
     noise_mm: tuple[float, ...] = (1.0,)
-    """Depth noise."""
+    """Standard deviation of the depth noise."""
     faults: float = 0.0
     """Probability of a fault at each capture (stale, empty or no frame) and each move (slip, refused or partial)."""
     slack_deg: float = 0.0
-    """Unknown error of each rotation of 30 degrees or more; in proportion for smaller rotations."""
+    """Unknown error of each rotation of 30 degrees or more, in proportion less for smaller rotations."""
     symmetric: bool = False
     """Use objects with a symmetry (or flat, or with few faces) instead of all."""
     world: str = "benchmark"
     """Preset of camera, size and distance: benchmark or paper."""
     seed: int = 0
-    """Of goals, starts, noise and faults."""
+    """Seed of the goals, the starts, the noise and the faults."""
 
     def __post_init__(self) -> None:
         """Raises ReorientError for values out of range, unknown systems and an unknown world."""

@@ -39,13 +39,13 @@ class VerifierData:
     objects: ObjectSource = field(default_factory=lambda: ObjectSource(count=5000))
     """Objects of the pairs."""
     pairs: int = 8
-    """Pairs of each object."""
+    """Number of pairs of each object."""
     per_shard: int = 5
-    """Objects in a file."""
+    """Number of objects in a file."""
     world: str = "benchmark"
     """Preset of camera, size and distance: benchmark or paper."""
     most_noise_mm: float = 3.0
-    """Depth noise: none for a quarter of the pairs, up to 1 mm for half, up to this for the rest."""
+    """Largest depth noise: a quarter of the pairs has none, half up to 1 mm, the rest up to this."""
     most_wrong_focal: float = 0.02
     """Largest relative error of the stated focal length."""
     effort: str = "normal"

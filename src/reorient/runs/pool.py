@@ -24,10 +24,10 @@ class Pool:
     """Number and kind of the workers. Results depend on neither."""
 
     workers: int = 1
-    """Number of worker processes; -1: one per core."""
+    """Number of worker processes, -1 for one per core."""
     backend: Backend = "processes"
-    """Where they run: on this machine, or on a Ray cluster (extra ``cluster``), which is started here unless
-    RAY_ADDRESS names one."""
+    """Kind of the workers: processes of this machine, or a Ray cluster (extra ``cluster``), which is started here
+    unless RAY_ADDRESS names one."""
 
     def __post_init__(self) -> None:
         """Raises ReorientError for a number of workers other than -1, 1, 2, ..."""
