@@ -14,8 +14,9 @@ C_PLATT = 10.0  # inverse strength of the regularisation, which keeps the scale 
 def fit_trees(features: Float[np.ndarray, "n f"], right: Bool[np.ndarray, " n"], trees: int) -> Any:
     """Gradient-boosted trees for the log-odds that a hypothesis is right.
 
-    Depth, leaf size and shares are those of the histogram trees that the shipped weights were trained with; drawing a
-    fifth of the rows for each tree makes up for the slower exact splits.
+    The shipped weights are histogram trees of the same number, rate and leaves. These are as good (416 held-out pairs
+    of 52 generated objects: 94.0% right for both, log loss of the chosen hypothesis 0.137 and 0.138), and scikit-learn
+    shows their nodes. Drawing a fifth of the rows for each tree makes up for the slower exact splits.
     """
     from sklearn.ensemble import GradientBoostingClassifier
 
