@@ -13,12 +13,13 @@ from jaxtyping import Float
 from reorient.errors import ReorientError, unknown_name
 from reorient.estimators.base import History, RotationEstimate, check_pair, checked_history, with_evidence
 from reorient.estimators.polish import covariance_rad2, polish
-from reorient.estimators.search import EFFORTS, MODE_RADIUS_RAD, search
+from reorient.estimators.search import EFFORTS, search
 from reorient.estimators.verifier import Verifier, features, load_verifier
 from reorient.imaging import DepthImage
 from reorient.registration import Hypotheses, Problem, build_problem, non_maximum_suppression
 from reorient.runs.pool import Pool
 
+DISTINCT_RAD = np.radians(12)  # two hypotheses closer than this are one answer
 ALTERNATIVE_ABOVE = 0.25  # of the answer's probability: a less likely hypothesis is no alternative
 
 
@@ -68,7 +69,7 @@ def verify(problem: Problem, hypotheses: Hypotheses, verifier: Verifier, effort:
     probability = verifier.probability(log_odds, effort)
     best = int(np.argsort(-log_odds, kind="stable")[0])
     likely = np.nonzero(probability > ALTERNATIVE_ABOVE * probability[best])[0]
-    likely = likely[non_maximum_suppression(hypotheses.R[likely], log_odds[likely], MODE_RADIUS_RAD)]
+    likely = likely[non_maximum_suppression(hypotheses.R[likely], log_odds[likely], DISTINCT_RAD)]
     share = probability / max(float(probability[likely].sum()), 1.0)
     answer = polish(problem, hypotheses[np.array([best])])
     return with_evidence(

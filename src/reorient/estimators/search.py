@@ -56,7 +56,7 @@ class Effort:
 
 
 GRID_TOLERANCE = 0.05
-SLIDE_POINTS = 60
+SLIDE, SLIDE_POINTS = (0.08, 0.08), 60
 MODE_RADIUS_RAD = float(np.radians(15))
 
 _COARSE = (0.05, 0.05, 0.04, 0.04, 0.03, 0.03)
@@ -125,7 +125,7 @@ def propose(problem: Problem, effort: Effort) -> Hypotheses:
     everywhere = problem.start(_grid(effort.grid))
     score = problem.image_score(everywhere, GRID_TOLERANCE, effort.grid_points)  # none moves a known pivot
     best = everywhere[np.argsort(-score, kind="stable")[: effort.slid]]
-    slid = refine(problem, best, (GRID_TOLERANCE, GRID_TOLERANCE), SLIDE_POINTS)
+    slid = refine(problem, best, SLIDE, SLIDE_POINTS)
     score = problem.score(slid, GRID_TOLERANCE, effort.grid_points)
     slid = slid[non_maximum_suppression(slid.R, score, MODE_RADIUS_RAD, effort.modes)]
     still = problem.start(np.eye(3)[None])

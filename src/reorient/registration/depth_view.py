@@ -19,6 +19,7 @@ from reorient.registration.normals import fit_planes
 GAP_PX = 2.0  # holes and gaps no wider either way count as surface
 OUTSIDE_M = np.float32(1e3)  # the surface's depth outside the silhouette: a point there is in front of it
 LARGEST_PX = 160  # an object's image larger than this is shrunk: finer pixels cost time and add nothing
+MARGIN_PX = 4
 OUTLINE_PX = 1.5  # a point may lie outside the outline by this much
 _PAD = 4  # pixels around the image, more than the gap
 
@@ -31,8 +32,8 @@ def evenly_spaced(n: int, most: int) -> Int[np.ndarray, " k"]:
 def compact(image: DepthImage) -> DepthImage:
     """The image cropped to the object, and shrunk to ``LARGEST_PX`` where it is larger."""
     rows, columns = (np.nonzero(image.valid.any(axis=axis))[0] for axis in (1, 0))
-    top, left = rows[0], columns[0]
-    height, width = rows[-1] + 1 - top, columns[-1] + 1 - left
+    top, left = rows[0] - MARGIN_PX, columns[0] - MARGIN_PX
+    height, width = rows[-1] + 1 + MARGIN_PX - top, columns[-1] + 1 + MARGIN_PX - left
     image = image.cropped(int(left), int(top), int(width), int(height))
     scale = LARGEST_PX / max(width, height)
     return image if scale >= 1 else image.resized(max(round(width * scale), 1), max(round(height * scale), 1))

@@ -12,6 +12,7 @@ from reorient.registration.hypotheses import Hypotheses, rotate
 from reorient.registration.pivot import PivotPrior
 
 PRIOR_COST = 0.01  # of the score, for each unit of the prior's squared Mahalanobis distance
+LARGEST_DISTANCE2 = 20.0
 FEWEST_POINTS = 50  # of an observation
 BOX_POINTS = 100
 
@@ -76,7 +77,9 @@ class Problem:
     def score(self, hypotheses: Hypotheses, tolerance: float, points: int) -> Float[np.ndarray, " k"]:
         """``image_score`` less the cost of the prior."""
         distance2 = self.prior.mahalanobis2(hypotheses.R, hypotheses.t_m)
-        return np.asarray(self.image_score(hypotheses, tolerance, points) - PRIOR_COST * distance2)
+        return np.asarray(
+            self.image_score(hypotheses, tolerance, points) - PRIOR_COST * np.minimum(distance2, LARGEST_DISTANCE2)
+        )
 
     def share(self, points: int) -> int:
         """Points of each observation, so that several take no longer than one."""
