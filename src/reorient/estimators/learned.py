@@ -26,7 +26,7 @@ from reorient.registration import DepthView, compact
 
 SWIFT_ROUNDS = 3  # from the second on it estimates the rotation left by the answer so far
 NEAR_RAD = float(np.radians(3))  # below this the exchanged pair, too, is like those it was trained on
-INTERFACE = [("images", 2, 128, 128), ("quat_wxyz", 4)]  # of an export: names and shapes, without the number of pairs
+INTERFACE = [("images", 2, 128, 128), ("quat_wxyz", 4)]  # names and shapes of an export, by definition
 
 
 @cache

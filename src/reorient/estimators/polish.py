@@ -9,7 +9,7 @@ from jaxtyping import Float
 from reorient import se3, so3
 from reorient.registration import Hypotheses, Problem, measure_evidence, normal_equations, refine
 
-FEWEST_POINTS = 11  # of a cloud at its resolution; small_gicp warns of fewer
+FEWEST_POINTS = 11  # of a cloud at its resolution; small_gicp warns of fewer; not tuned
 
 
 @dataclass(frozen=True, kw_only=True)

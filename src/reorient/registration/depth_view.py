@@ -17,11 +17,11 @@ from reorient.imaging import DepthImage
 from reorient.registration.normals import fit_planes
 
 GAP_PX = 2.0  # holes and gaps no wider either way count as surface
-OUTSIDE_M = np.float32(1e3)  # the surface's depth outside the silhouette: a point there is in front of it
+OUTSIDE_M = np.float32(1e3)  # the surface's depth outside the silhouette, behind any point; not tuned
 LARGEST_PX = 160  # an object's image larger than this is shrunk: finer pixels cost time and add nothing
-MARGIN_PX = 4
+MARGIN_PX = 4  # around a cropped object; not tuned
 OUTLINE_PX = 1.5  # a point may lie outside the outline by this much
-_PAD = 4  # pixels around the image, more than the gap
+_PAD = 4  # pixels around the image, more than the gap; not tuned
 
 
 def evenly_spaced(n: int, most: int) -> Int[np.ndarray, " k"]:

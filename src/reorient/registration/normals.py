@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from reorient.imaging import DepthImage
 
-_WINDOW = np.argwhere(np.ones((5, 5))) - 2  # row and column offsets of a plane fit
+_WINDOW = np.argwhere(np.ones((5, 5))) - 2  # row and column offsets of a plane fit; not tuned
 _BASIS = np.concatenate([_WINDOW[:, ::-1], np.ones((len(_WINDOW), 1))], axis=1)  # column, row, 1
 _PRODUCTS = np.einsum("ki,kj->kij", _BASIS, _BASIS).reshape(len(_BASIS), 9)
 _NEARNESS = np.sum(_WINDOW**2, axis=1) / 4
