@@ -42,7 +42,7 @@ class RotationSearch:
         """As ``Estimator.estimate``; of the history the captures that show the most new are used."""
         check_pair(current, goal, pivot_m)
         problem = build_problem(current, goal, pivot_m, checked_history(history))
-        return verify(problem, search(problem, EFFORTS[self._effort]), load_verifier(), self._effort)
+        return select_and_polish(problem, search(problem, EFFORTS[self._effort]), load_verifier(), self._effort)
 
     def estimate_many(
         self,
@@ -62,7 +62,7 @@ class RotationSearch:
         return list(pool.map(lambda task: self.estimate(*task), tasks))
 
 
-def verify(problem: Problem, hypotheses: Hypotheses, verifier: Verifier, effort: str) -> RotationEstimate:
+def select_and_polish(problem: Problem, hypotheses: Hypotheses, verifier: Verifier, effort: str) -> RotationEstimate:
     """The most likely hypothesis of a search with that effort, polished, and the alternatives to it."""
     seen = [features(problem.only(observation), hypotheses) for observation in problem.observations]
     log_odds = np.mean([verifier.log_odds(each) for each in seen], axis=0)
