@@ -7,7 +7,7 @@ import trimesh
 from reorient import so3
 from reorient.errors import ReorientError
 from reorient.estimators import load_estimator
-from reorient.estimators.polish import Polished, choose, polish
+from reorient.estimators.polish import Polished, choose, polish, uncertainty
 from reorient.estimators.rotation_search import RotationSearch
 from reorient.estimators.search import EFFORTS, Stage, perturb_and_select, search
 from reorient.estimators.verifier import FEATURES, Verifier, features, load_verifier
@@ -229,9 +229,9 @@ def test_icp_is_kept_unless_it_loses_score(mesh):
     problem, truth = build_problem(pair.current, pair.goal, pair.pivot_m), motion_of(pair)
     polished = polish(problem, truth)
     assert errors_deg(polished.hypothesis.R[0], pair.R_goal_current) < 1
-    assert polished.converged
-    slid = Polished(Hypotheses(so3.exp(np.array([[0.0, 0.2, 0.0]])) @ truth.R, truth.t_m), True, 5)
+    assert uncertainty(problem, polished.hypothesis)[1]
+    slid = Polished(Hypotheses(so3.exp(np.array([[0.0, 0.2, 0.0]])) @ truth.R, truth.t_m), 5)
     assert choose(problem, truth, polished) is polished
     kept = choose(problem, truth, slid)
     assert kept.hypothesis is truth
-    assert kept.converged is False
+    assert not uncertainty(problem, slid.hypothesis)[1]

@@ -49,13 +49,12 @@ POLISH = Polish()
 
 @dataclass(frozen=True, eq=False)
 class Polished:
-    """A polished hypothesis, and how the registration ended."""
+    """A polished hypothesis."""
 
     hypothesis: Hypotheses
     """One motion."""
-    converged: bool | None
-    """Whether ICP met its stopping rule and its answer was kept; None where the clouds are too small for it."""
-    iterations: int | None
+    iterations: int
+    """Of ICP; 0 where the clouds are too small for it."""
 
 
 def polish(problem: Problem, answer: Hypotheses) -> Polished:
@@ -63,15 +62,13 @@ def polish(problem: Problem, answer: Hypotheses) -> Polished:
     noise = _residual(problem, answer)
     answer = refine(problem, answer, [max(x, POLISH.noise_factor * noise) for x in POLISH.tolerances], POLISH.points)
     registered = register(problem, answer, POLISH.voxel if noise < POLISH.quiet else POLISH.noisy_voxel)
-    if registered is None:
-        return Polished(answer, None, None)
-    return choose(problem, answer, registered)
+    return Polished(answer, 0) if registered is None else choose(problem, answer, registered)
 
 
 def choose(problem: Problem, answer: Hypotheses, registered: Polished) -> Polished:
     """The registered answer unless it loses the score of the one that it began from."""
     before, after = (problem.score(x, POLISH.quiet, POLISH.points)[0] for x in (answer, registered.hypothesis))
-    return registered if after >= before - POLISH.loss else Polished(answer, False, registered.iterations)
+    return registered if after >= before - POLISH.loss else Polished(answer, registered.iterations)
 
 
 def register(problem: Problem, answer: Hypotheses, voxel: float) -> Polished | None:
@@ -94,14 +91,18 @@ def register(problem: Problem, answer: Hypotheses, voxel: float) -> Polished | N
     )
     T = result.T_target_source
     R = so3.matrix_from_quat(so3.quat_from_matrix(T[:3, :3]))  # small_gicp's products drift from SO(3)
-    return Polished(Hypotheses(R[None], T[None, :3, 3]), bool(result.converged), int(result.iterations))
+    return Polished(Hypotheses(R[None], T[None, :3, 3]), int(result.iterations))
 
 
-def covariance_rad2(problem: Problem, answer: Hypotheses) -> Float[np.ndarray, "3 3"]:
-    """Covariance of the rotation vector of a left perturbation, from the curvature at the answer."""
+def uncertainty(problem: Problem, answer: Hypotheses) -> tuple[Float[np.ndarray, "3 3"], bool]:
+    """Covariance (rad^2) of the rotation vector of a left perturbation, from the curvature at the answer; and whether
+    the answer has converged: one more Gauss-Newton step would rotate it by less than its standard error."""
     noise = max(_residual(problem, answer), POLISH.least_noise)
-    H, _ = normal_equations(problem, answer, POLISH.noise_factor * noise, POLISH.points)
-    return POLISH.covariance_scale * np.linalg.inv(H[0] + 1e-9 * np.eye(6))[:3, :3]
+    H, g = normal_equations(problem, answer, POLISH.noise_factor * noise, POLISH.points)
+    inverse = np.linalg.inv(H[0] + 1e-9 * np.eye(6))
+    covariance_rad2 = POLISH.covariance_scale * inverse[:3, :3]
+    step_rad = float(np.linalg.norm((inverse @ g[0])[:3]))
+    return covariance_rad2, step_rad <= float(np.sqrt(np.trace(covariance_rad2)))
 
 
 def _residual(problem: Problem, answer: Hypotheses) -> float:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from reorient.errors import ReorientError, unknown_name
 from reorient.estimators.base import History, RotationEstimate, check_pair, checked_history, with_evidence
-from reorient.estimators.polish import covariance_rad2, polish
+from reorient.estimators.polish import polish, uncertainty
 from reorient.estimators.search import EFFORTS, search
 from reorient.estimators.verifier import Verifier, features, load_verifier
 from reorient.imaging import DepthImage
@@ -72,14 +72,15 @@ def select_and_polish(problem: Problem, hypotheses: Hypotheses, verifier: Verifi
     distinct = likely[non_maximum_suppression(hypotheses.R[likely], log_odds[likely], DISTINCT_RAD)]  # the best first
     share = probability / max(float(probability[distinct].sum()), 1.0)  # normalised only if they sum to more than 1
     answer = polish(problem, hypotheses[np.array([best])])
+    covariance_rad2, converged = uncertainty(problem, answer.hypothesis)
     return with_evidence(
         problem.current,
         problem.goal,
         answer.hypothesis.R[0],
         answer.hypothesis.t_m[0],
-        converged=answer.converged,
+        converged=converged,
         iterations=answer.iterations,
         confidence=float(probability[best]),
         alternatives=tuple((hypotheses.R[i], float(share[i])) for i in distinct[1:]),
-        covariance_rad2=covariance_rad2(problem, answer.hypothesis),
+        covariance_rad2=covariance_rad2,
     )
