@@ -367,7 +367,7 @@ def draw_belief() -> Figure:
                 tracks.append((hypothesis.R_goal_start, []))
                 away.append(0.0)
             tracks[int(np.argmin(away))][1].append((step.index, hypothesis.log_odds))
-        true_rad = float(so3.angle(R_goal_start @ belief.here.R_then_start.T))
+        true_rad = float(so3.angle(R_goal_start @ belief.viewpoint_now.R_then_start.T))
         R_goal_now, error_rad = belief.fused(belief.hypotheses[0])
         angles.append((step.index, true_rad, float(so3.angle(R_goal_now)), error_rad))
     figure, axes = _figure(2, 3.0)

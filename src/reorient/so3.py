@@ -105,7 +105,7 @@ def matrix_from_quat(quat_wxyz: Quaternions) -> Matrices:
 
 
 def quat_from_matrix(R: Matrices) -> Quaternions:
-    """Unit quaternions with q_r >= 0 of rotation matrices."""
+    """Unit quaternions with w >= 0 of rotation matrices."""
     flat = Rotation.from_matrix(np.reshape(R, (-1, 3, 3))).as_quat()[:, [3, 0, 1, 2]]
     return canonical(flat).reshape(*R.shape[:-2], 4)
 

@@ -115,7 +115,7 @@ def test_a_view_repeats_where_the_object_is_symmetric(knob, symmetric):
     for R in (away @ R_goal, away @ flip @ R_goal):
         station.R_camera_object = R
         views.append(PreparedImage(station.capture()))
-    assert SymmetryTest().same_view(*views, reference) == symmetric
+    assert SymmetryTest().images_agree(*views, reference) == symmetric
 
 
 @pytest.mark.parametrize(
@@ -126,14 +126,14 @@ def test_a_third_of_a_rotation_is_a_symmetry_of_a_prism_and_not_of_a_box(body, s
     station, _, R_goal = cell(body, seed=3, noise_m=0.001)
     third = so3.exp(2 * np.pi / 3 * R_goal[:, 2])
     station.R_camera_object = R_goal
-    here = [PreparedImage(station.capture()), PreparedImage(station.capture())]
-    views = [(here[0], np.eye(3))]
+    reference = [PreparedImage(station.capture()), PreparedImage(station.capture())]
+    views = [(reference[0], np.eye(3))]
     for _ in range(2):
-        known, R_elsewhere = SymmetryTest().symmetric(third, here, views)
+        known, R_elsewhere = SymmetryTest().symmetric(third, reference, views)
         assert known is None
         station.R_camera_object = R_elsewhere @ R_goal
         views.insert(0, (PreparedImage(station.capture()), R_elsewhere))
-    assert SymmetryTest().symmetric(third, here, views)[0] == symmetric
+    assert SymmetryTest().symmetric(third, reference, views)[0] == symmetric
 
 
 def test_what_is_computed_of_an_image_is_kept_with_it(mesh):

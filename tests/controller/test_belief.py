@@ -51,9 +51,9 @@ def test_motions_compose_on_the_left(image):
         R = R if move is None else R @ move.T
     belief = folded(image, steps)
     assert len(belief.hypotheses) == 1
-    np.testing.assert_allclose(belief.here.R_then_start, B @ A, atol=1e-12)
+    np.testing.assert_allclose(belief.viewpoint_now.R_then_start, B @ A, atol=1e-12)
     np.testing.assert_allclose(belief.R_goal_now(belief.hypotheses[0]), R, atol=1e-9)
-    assert belief.here.path_rad == pytest.approx(float(so3.angle(A) + so3.angle(B)))
+    assert belief.viewpoint_now.path_rad == pytest.approx(float(so3.angle(A) + so3.angle(B)))
 
 
 def test_an_unknown_motion_begins_a_new_chain(image):
@@ -61,7 +61,7 @@ def test_an_unknown_motion_begins_a_new_chain(image):
     belief = folded(image, two_steps(image, R, R_executed=None, error="refused"))
     np.testing.assert_allclose(belief.R_goal_now(belief.hypotheses[0]), C @ R @ A.T, atol=1e-9)
     assert len(belief.hypotheses) == 2
-    assert (len(belief.viewpoints), belief.images, belief.moves) == (1, 2, 1)
+    assert (len(belief.viewpoints), belief.images, belief.commanded_moves) == (1, 2, 1)
 
 
 def test_a_step_that_is_given_again_replaces_itself(image):
@@ -73,7 +73,7 @@ def test_a_step_that_is_given_again_replaces_itself(image):
     for last in (before, undone):
         often = folded(image, [observed, before, before, last, after])
         once = folded(image, [last, after])
-        assert (often.images, often.moves) == (once.images, once.moves) == (2, 1 + last.undone)
+        assert (often.images, often.commanded_moves) == (once.images, once.commanded_moves) == (2, 1 + last.undone)
         assert [len(x.observations) for x in often.viewpoints] == [1, 1]
         for one, other in zip(often.hypotheses, once.hypotheses, strict=True):
             np.testing.assert_array_equal(one.R_goal_start, other.R_goal_start)
@@ -111,17 +111,17 @@ def test_the_fused_estimate_is_robust_and_carried_by_motions(image):
         steps.append(Step(k, image, answer(so3.exp(error) @ R, 0.9), move, move))
         R = R if move is None else R @ move.T
     belief = folded(image, steps, arrival_test=lambda *_: Arrival(0.0))
-    median, error_rad = belief.fused(Hypothesis(R @ belief.here.R_then_start))
+    median, error_rad = belief.fused(Hypothesis(R @ belief.viewpoint_now.R_then_start))
     assert float(so3.angle_difference(median, R)) < 0.004
     assert 0 < error_rad < 0.01
 
 
 def test_of_two_tested_poses_the_likelier_one_wins(image):
     flip = so3.exp(np.array([np.pi, 0, 0]))
-    here = (Observation(image, answer(np.eye(3), 0.9)),) * 2
+    observations = (Observation(image, answer(np.eye(3), 0.9)),) * 2
     for nll, nearer in (((3.0, 5.0), flip), ((5.0, 3.0), np.eye(3))):
         viewpoints = [
-            Viewpoint(here, R, arrival=Arrival(log_odds, depth_nll))
+            Viewpoint(observations, R, arrival=Arrival(log_odds, depth_nll))
             for R, log_odds, depth_nll in zip((flip, np.eye(3)), (2.0, 3.0), nll, strict=True)
         ]
         best, other = hypotheses_of(viewpoints, BeliefSettings())
@@ -156,7 +156,7 @@ def test_tests_of_a_loop_are_linear_in_its_images():
         calls.append(observations[-1].image)
         return settings.arrival_test(observations, goal)
 
-    strategy = Fusing(belief=BeliefSettings(arrival_test=counted))
+    strategy = Fusing(belief_settings=BeliefSettings(arrival_test=counted))
     result = orient(station, goal, Oracle(station, R_goal, flip=flip), strategy, limits=NOW)
     assert len(calls) > 8
     assert len({id(image) for image in calls}) == len(calls)

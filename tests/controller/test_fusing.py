@@ -16,7 +16,7 @@ from reorient.stations.faulty import FaultyStation
 
 def arriving(log_odds, **settings):
     """The strategy with an arrival test that always has one result."""
-    return Fusing(belief=BeliefSettings(arrival_test=lambda *_: Arrival(log_odds)), **settings)
+    return Fusing(belief_settings=BeliefSettings(arrival_test=lambda *_: Arrival(log_odds)), **settings)
 
 
 def phases(result):

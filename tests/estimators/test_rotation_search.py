@@ -179,7 +179,10 @@ def test_perturb_and_select_never_lowers_the_score(mesh, rng):
     pair = pair_of(mesh, 2, 60)
     problem = build_problem(pair.current, pair.goal, pair.pivot_m)
     start = problem.start(so3.sample_uniform(rng, 6))
-    stage = Stage((), 0, 0.03, 300, 6, 0.0, copies=16, rotation_rad=0.2, shift=0.03)
+    stage = Stage(
+        tolerances=(), points=0, scored_tolerance=0.03, scored_points=300, keep=6, radius_deg=0.0,
+        copies=16, rotation_rad=0.2, shift=0.03,
+    )  # fmt: skip
     before, after = (problem.score(x, 0.03, 300) for x in (start, perturb_and_select(problem, start, rng, stage)))
     assert np.all(after >= before - 1e-6)
     assert np.any(after > before + 0.01)

@@ -24,7 +24,8 @@ T = TypeVar("T")
 class Frames:
     """Reading and isolation of the images.
 
-    One value is for both images, two are for CURRENT and GOAL. The value '-' is none: "--near 0.3 -" limits CURRENT.
+    One value is for both images, two are for CURRENT and GOAL. For --camera, --mask, --near and --far the value '-' is
+    none: "--near 0.3 -" limits CURRENT.
     """
 
     camera: Annotated[tuple[str, ...], Metavar("PATH")] = ()
@@ -40,19 +41,19 @@ class Frames:
     far: Annotated[tuple[str, ...], Metavar("M")] = ()
     """Ignore returns farther than this, in metres."""
 
-    def read(self, path: Path, which: int) -> "DepthImage":
-        """The isolated image; ``which``: 0 current, 1 goal."""
+    def read(self, path: Path, *, goal: bool) -> "DepthImage":
+        """The isolated image; ``goal``: by the options for GOAL, not those for CURRENT."""
         from reorient.imaging import isolate
         from reorient.imaging.files import read_depth, read_mask
 
-        camera_file, mask = _each(self.camera, which, "--camera"), _each(self.mask, which, "--mask")
+        camera_file, mask = _each(self.camera, goal, "--camera"), _each(self.mask, goal, "--mask")
         if len(self.box) not in (0, 4, 8):
             raise ReorientError(f"--box with {len(self.box)} numbers: expected left top width height, once or twice")
-        box = self.box[4:] if which and len(self.box) == 8 else self.box[:4]
-        near_m, far_m = _metres(self.near, which, "--near"), _metres(self.far, which, "--far")
+        box = self.box[4:] if goal and len(self.box) == 8 else self.box[:4]
+        near_m, far_m = _metres(self.near, goal, "--near"), _metres(self.far, goal, "--far")
         if near_m is not None and far_m is not None and near_m >= far_m:
             raise ReorientError(f"--near {near_m:g} --far {far_m:g}: expected --near below --far")
-        image = read_depth(path, self._camera(camera_file), _each(self.depth_scale, which, "--depth-scale"))
+        image = read_depth(path, self._camera(camera_file), _each(self.depth_scale, goal, "--depth-scale"))
         mask_array = None if mask in (None, "-") else read_mask(mask)
         box_px = (box[0], box[1], box[2], box[3]) if box else None
         try:
@@ -74,14 +75,14 @@ class GoalFrame(Frames):
     """
 
 
-def _each(values: tuple[T, ...], which: int, flag: str) -> T | None:
+def _each(values: tuple[T, ...], goal: bool, flag: str) -> T | None:
     if len(values) > 2:
         raise ReorientError(f"{flag} with {len(values)} values: expected one for both images, or two")
-    return values[which if len(values) == 2 else 0] if values else None
+    return (values[-1] if goal else values[0]) if values else None
 
 
-def _metres(values: tuple[str, ...], which: int, flag: str) -> float | None:
-    value = _each(values, which, flag)
+def _metres(values: tuple[str, ...], goal: bool, flag: str) -> float | None:
+    value = _each(values, goal, flag)
     if value in (None, "-"):
         return None
     try:
@@ -130,7 +131,7 @@ class Estimate:
 
             check_suffix(self.explain)
         estimator = load_estimator(self.estimator)
-        current, goal = self.frames.read(self.current, 0), self.frames.read(self.goal, 1)
+        current, goal = self.frames.read(self.current, goal=False), self.frames.read(self.goal, goal=True)
         pivot_m = None if self.pivot is None else np.array(self.pivot)
         estimate = as_estimate(estimator.estimate(current, goal, pivot_m), current, goal)
         if self.explain is not None:

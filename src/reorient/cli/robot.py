@@ -123,7 +123,7 @@ class Orient:
         from reorient.stations.replay import RecordingStation
 
         strategy, limits = self.strategy_choice.load(), self.limit_choice.limits()
-        goal, estimator = self.frames.read(self.goal, 1), load_estimator(self.estimator)
+        goal, estimator = self.frames.read(self.goal, goal=True), load_estimator(self.estimator)
         if self.out is not None:
             make_folder(self.out)
         station = self.choice.open()

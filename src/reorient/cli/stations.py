@@ -37,9 +37,11 @@ class StationChoice:
         """The station, ready. Raises ReorientError where it cannot be made."""
         from reorient.stations import load_station
 
-        if self.station != "rendered":
-            return load_station(self.station)
-        return self._rendered()
+        if self.station == "rendered":
+            return self._rendered()
+        if ":" not in self.station:
+            raise ReorientError(f"station {self.station!r}: expected 'rendered' or my_module:MyStation")
+        return load_station(self.station)
 
     def _rendered(self) -> "Station":
         from reorient.stations.rendered import RenderedStation

@@ -44,8 +44,8 @@ GROUPS = {
         "replay": Verb("robot:Replay", "Run a recorded loop again, without its station."),
     },
     "measure": {
-        "evaluate": Verb("offline:Evaluate", "Measure the errors of estimators on simulated pairs of images."),
-        "report": Verb("offline:Report", "Write an HTML page of an evaluation."),
+        "evaluate": Verb("evaluating:Evaluate", "Measure the errors of estimators on simulated pairs of images."),
+        "report": Verb("evaluating:Report", "Write an HTML page of an evaluation."),
         "loops": Verb("loops:Loops", "Measure closed loops at simulated stations."),
         "cell": Verb("cell:Cell", "Run the experiment with physical objects in a simulated robot cell."),
         "reproduce": Verb("reproducing:Reproduce", "Make a figure of the paper again."),

@@ -96,14 +96,17 @@ class Arrival:
 
 @dataclass(frozen=True, kw_only=True)
 class PoseSettings:
-    """When two poses are one, and how much the observations of one pose may weigh."""
+    """When two poses are one, and how much the observations of one pose may weigh.
+
+    Belief, arrival test and symmetry test each hold their own copy: change all three.
+    """
 
     near_rad: float = float(np.radians(8))
     """Poses of the object nearer to each other than this are one. Loops of tuning objects (ed0cd77)."""
     same_rad: float = float(np.radians(15))
     """Estimated rotations nearer to each other than this are one. Loops of tuning objects (ed0cd77)."""
     max_log_odds: float = 6.0
-    """Bound on the log-odds by inlier ratios, or by estimates that lead away, both ways. Not tuned."""
+    """Bound on abs(log-odds) of the inlier test; minus this where all estimates at a pose lead away. Not tuned."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,9 +121,10 @@ class ArrivalTest(PoseSettings):
     """Difference of inlier ratios (goal less observations, relative to the observations' outliers) at log-odds 0. Loops
     of tuning objects (ed0cd77)."""
     unit: float = 0.05
-    """The same difference for one more unit of log-odds. Loops of tuning objects (ed0cd77)."""
-    least_outliers: float = 0.05
-    """Outlier ratio of two observations of one pose, at least, in this relation. Loops of tuning objects (03a703d)."""
+    """Change of that difference that adds 1 nat. Loops of tuning objects (ed0cd77)."""
+    outlier_offset: float = 0.05
+    """Added to the observations' outlier ratio where the difference of inlier ratios is divided by it, so that
+    noise-free images do not divide by 0. Loops of tuning objects (03a703d)."""
     max_deviations: float = 3.0
     """Bound on one depth difference, in standard deviations. 2 to 20 on 203 look-alikes (benchmarks/lookalikes.py)."""
     misalignment_px: float = 0.6
@@ -162,7 +166,7 @@ class ArrivalTest(PoseSettings):
         to_goal = [_inlier_ratio(view, goal.view, motions, tolerance_m) for view in views]
         between = [(Rb.T @ Ra, Rb.T @ (ta_m - tb_m)) for (Ra, ta_m), (Rb, tb_m) in permutations(motions, 2)]
         own = [_inlier_ratio(a, b, between, tolerance_m) for a, b in pairwise(views)]
-        excess = (np.mean(to_goal) - np.mean(own)) / (1 + self.least_outliers - np.mean(own))
+        excess = (np.mean(to_goal) - np.mean(own)) / (1 + self.outlier_offset - np.mean(own))
         return float(np.clip((excess - self.neutral) / self.unit, -self.max_log_odds, self.max_log_odds))
 
     def depth_nll(self, observations: Sequence[Observation], goal: PreparedImage) -> float:

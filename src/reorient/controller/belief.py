@@ -19,10 +19,10 @@ from reorient.controller.hypotheses import (
     BeliefSettings,
     Hypothesis,
     Viewpoint,
-    at,
     hypotheses_of,
+    is_at,
+    near_viewpoints,
     nearest,
-    same_view,
 )
 from reorient.controller.symmetry import Flip
 
@@ -33,6 +33,7 @@ class Hidden:
 
     R_hidden_start: Float[np.ndarray, "3 3"]
     radius_rad: float
+    """A move that ends this near counts as a move there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,19 +46,19 @@ class Belief:
     """Since the last unknown motion, in order; the object may have moved on since the last one."""
     hidden: tuple[Hidden, ...] = ()
     images: int = 0
-    """In all."""
+    """Observations so far, in all chains."""
     moves_before: int = 0
     """Commanded moves before the latest step."""
     latest: Step | None = None
 
     @property
-    def moves(self) -> int:
+    def commanded_moves(self) -> int:
         """Commanded moves in all; one that was undone counts twice."""
         return self.moves_before + (_moves(self.latest) if self.latest else 0)
 
     @property
-    def here(self) -> Viewpoint:
-        """The present viewpoint, right after an observation."""
+    def viewpoint_now(self) -> Viewpoint:
+        """The present viewpoint, right after an observation. IndexError where there is no viewpoint."""
         return self.viewpoints[-1]
 
     def updated(self, step: Step) -> "Belief":
@@ -76,7 +77,7 @@ class Belief:
             return replace(self, viewpoints=(), hidden=(), moves_before=moves)
         if step.R_executed is None:
             return replace(self, moves_before=moves)
-        then, hidden = self.here, self.hidden
+        then, hidden = self.viewpoint_now, self.hidden
         if step.undone and step.R_step is not None:
             radius_rad = min(self.settings.same_rad, float(so3.angle(step.R_step)) / 2)
             hidden += (Hidden(step.R_step @ then.R_then_start, radius_rad),)
@@ -86,21 +87,21 @@ class Belief:
 
     def _observed(self, observation: Observation) -> "Belief":
         """The belief with one more observation at the present viewpoint, whose tests are made anew."""
-        *before, here = self.viewpoints or (Viewpoint((), np.eye(3)),)
-        observations = (*here.observations, observation)
+        *before, now = self.viewpoints or (Viewpoint((), np.eye(3)),)
+        observations = (*now.observations, observation)
         away_rad = [nearest(x.estimate, np.eye(3))[1] for x in observations]
-        arrival, flips = None, here.flips
+        arrival, flips = None, now.flips
         if len(observations) >= 2 and float(np.median(away_rad)) <= self.settings.near_rad:
             arrival = self.settings.arrival_test(observations, self.goal)
-            flips = flips or self._flips(observations[0], here, before)
-        here = replace(here, observations=observations, arrival=arrival, flips=flips if arrival else ())
-        return replace(self, viewpoints=(*before, here))
+            flips = flips or self._flips(observations[0], now, before)
+        now = replace(now, observations=observations, arrival=arrival, flips=flips if arrival else ())
+        return replace(self, viewpoints=(*before, now))
 
-    def _flips(self, image: PreparedImage, here: Viewpoint, before: Sequence[Viewpoint]) -> tuple[Flip, ...]:
+    def _flips(self, image: PreparedImage, now: Viewpoint, before: Sequence[Viewpoint]) -> tuple[Flip, ...]:
         """The flips of a pose, by the images of the viewpoints before; none where one of these has them."""
-        if any(x.flips and same_view(x, here, self.settings) for x in before):
+        if any(x.flips and near_viewpoints(x, now, self.settings) for x in before):
             return ()
-        history = [(x.observations[0].image, here.R_then_start @ x.R_then_start.T) for x in before]
+        history = [(x.observations[0].image, now.R_then_start @ x.R_then_start.T) for x in before]
         return self.settings.symmetry_test.flips(image, self.goal, history)
 
     @cached_property
@@ -108,22 +109,23 @@ class Belief:
         """All hypotheses, the likeliest first."""
         return hypotheses_of(self.viewpoints, self.settings)
 
-    def at(self, hypothesis: Hypothesis) -> list[Viewpoint]:
+    def tested_viewpoints_at(self, hypothesis: Hypothesis) -> list[Viewpoint]:
         """The viewpoints at a hypothesis that have an arrival test."""
-        return [x for x in self.viewpoints if x.arrival is not None and at(hypothesis, x, self.settings)]
+        return [x for x in self.viewpoints if x.arrival is not None and is_at(hypothesis, x, self.settings)]
 
     def R_goal_now(self, hypothesis: Hypothesis) -> Float[np.ndarray, "3 3"]:
         """The remaining rotation to a hypothesis, from the present viewpoint."""
-        R: Float[np.ndarray, "3 3"] = hypothesis.R_goal_start @ self.here.R_then_start.T
+        R: Float[np.ndarray, "3 3"] = hypothesis.R_goal_start @ self.viewpoint_now.R_then_start.T
         return R
 
     def times_hidden(self, R_step: Float[np.ndarray, "3 3"]) -> int:
         """How often a move from the present viewpoint to where this one leads was undone."""
-        R = R_step @ self.here.R_then_start
+        R = R_step @ self.viewpoint_now.R_then_start
         return sum(float(so3.angle_difference(R, x.R_hidden_start)) <= x.radius_rad for x in self.hidden)
 
     def fused(self, hypothesis: Hypothesis) -> tuple[Float[np.ndarray, "3 3"], float]:
-        """The remaining rotation to a hypothesis by all estimates near it, and its standard error in radians.
+        """The remaining rotation to a hypothesis by the estimates made within ``near_rad`` of it, and its standard
+        error in radians: infinite where there is none, with the spread at least ``spread_rad`` for fewer than three.
 
         A geometric median, as single estimates may be wrong by degrees; estimates from before larger motions have less
         weight.
@@ -136,8 +138,8 @@ class Belief:
             for observation in reversed(viewpoint.observations):
                 answer, away_rad = nearest(observation.estimate, R_goal_then)
                 if float(so3.angle(answer)) <= s.near_rad and away_rad <= s.same_rad:
-                    found.append(answer @ viewpoint.R_then_start @ self.here.R_then_start.T)
-                    since_rad.append(self.here.path_rad - viewpoint.path_rad)
+                    found.append(answer @ viewpoint.R_then_start @ self.viewpoint_now.R_then_start.T)
+                    since_rad.append(self.viewpoint_now.path_rad - viewpoint.path_rad)
         if not found:
             return self.R_goal_now(hypothesis), float("inf")
         information = 1 / (s.spread_rad**2 + (s.drift * np.array(since_rad)) ** 2)

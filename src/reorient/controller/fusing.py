@@ -1,10 +1,10 @@
 """The few-moves strategy: full moves to the likeliest hypothesis, verified on arrival.
 
 The strategy approaches the likeliest hypothesis of the belief. There it captures at least twice and tests the arrival;
-one that fails loses its log-odds. Competing hypotheses are visited, too: alternatives that an estimate names, and the
-flips of the arrival that no image contradicts; the likelihood of the depth differences decides between them, as the one
-goal image is all that can. Where two match equally, views from other sides show whether they are one orientation of a
-symmetric object. Last, the estimates are averaged and the final small moves made.
+a hypothesis whose test fails loses log-odds. Competing hypotheses are visited, too: alternatives that an estimate
+names, and the flips of the arrival that no image contradicts; the likelihood of the depth differences decides between
+them, as only the goal image can decide. Where two match equally, views from other sides show whether they are one
+orientation of a symmetric object. Last, the estimates are averaged and the final small moves made.
 """
 
 from dataclasses import dataclass, replace
@@ -31,7 +31,7 @@ class Fusing(FusingSettings):
 
     def start(self, goal: DepthImage) -> Belief:
         """The belief before the first observation."""
-        return Belief(PreparedImage(goal), self.belief)
+        return Belief(PreparedImage(goal), self.belief_settings)
 
     def decide(self, belief: Belief, reachable: Reachable) -> Decision:
         """The next act, from the belief right after an observation."""
@@ -45,9 +45,9 @@ class Fusing(FusingSettings):
 
 def verify(s: Situation) -> Decision | None:
     """After the first observation near a hypothesis: move closer once, then capture again for the arrival test."""
-    if s.here is None or s.captures > 1 or s.images_left <= 0:
+    if s.hypothesis_here is None or s.captures > 1 or s.images_left <= 0:
         return None
-    R_goal_now, _ = s.belief.fused(s.here)
+    R_goal_now, _ = s.belief.fused(s.hypothesis_here)
     angle_rad = float(so3.angle(R_goal_now))
     paths_rad = [x.path_rad for x in s.belief.viewpoints[-2:]]
     came_far = len(paths_rad) < 2 or paths_rad[1] - paths_rad[0] > s.belief.settings.near_rad
@@ -57,14 +57,14 @@ def verify(s: Situation) -> Decision | None:
 
 
 def compare(s: Situation) -> Decision | None:
-    """Visit what competes with the best hypothesis; compare poses by as many observations of each."""
+    """Visit what competes with the best hypothesis; compare poses by equally many observations."""
     visit = s.competing
     if visit is None:
-        if s.exploring and s.captures < s.settings.captures and s.is_equal(s.here, s.best):
+        if s.exploring and s.captures < s.settings.max_captures and s.is_equal(s.hypothesis_here, s.best):
             return Decision("near goal, an earlier pose matches equally: re-capturing to compare them")
         return None
-    enough = s.images_left > s.settings.reserve + s.settings.captures
-    if s.best is s.here and s.captures < s.settings.captures and enough:
+    enough = s.images_left > s.settings.reserve + s.settings.max_captures
+    if s.best is s.hypothesis_here and s.captures < s.settings.max_captures and enough:
         return Decision("near goal, a competing hypothesis is open: re-capturing to compare it later")
     kind = "180-degree flip" if visit.guessed else f"competing ({format_probability(visit.support)})"
     message = f"checking {kind} hypothesis: rotating {degrees(s.angle_rad(visit))}"
@@ -72,11 +72,12 @@ def compare(s: Situation) -> Decision | None:
 
 
 def approach(s: Situation) -> Decision | None:
-    """The full move to the best hypothesis, from elsewhere."""
+    """The full move to the best hypothesis, from elsewhere. Ends the loop where no hypothesis is left, or no move or
+    image is."""
     best = s.best
     if best is None:
         return Decision("no hypothesis is left to try, none matched the goal", status="unsure", confidence=0.0)
-    if best is s.here:
+    if best is s.hypothesis_here:
         return None
     angle = degrees(s.angle_rad(best))
     if min(s.moves_left, s.images_left) <= 0:
@@ -97,8 +98,8 @@ def probe_symmetry(s: Situation) -> Decision | None:
     belief, best = s.belief, s.best
     if not s.equals or best is None:
         return None
-    compared = sum(len(x.observations) for x in belief.at(best))
-    if max(compared, s.captures) < s.settings.captures and s.images_left > 0:
+    compared = sum(len(x.observations) for x in belief.tested_viewpoints_at(best))
+    if max(compared, s.captures) < s.settings.max_captures and s.images_left > 0:
         return Decision("another orientation matches equally: re-capturing to compare them")
     symmetric, R_elsewhere = s.symmetry
     if symmetric is None and s.exploring and s.reachable(R_elsewhere) and not belief.times_hidden(R_elsewhere):
@@ -121,16 +122,16 @@ def done(s: Situation) -> Decision:
     """The end: converged if the remaining rotation is small, the pose passed the arrival test at least once, the shape
     constrains the rotation, and the confidence suffices."""
     assert s.best is not None
-    fused, here = _Fused.of(s), s.belief.here
+    fused, viewpoint = _Fused.of(s), s.belief.viewpoint_now
     passed = s.best.arrival_log_odds >= s.settings.min_arrival_log_odds
-    weak_axis_rad = here.arrival.weak_axis_error_rad if here.arrival else 0.0
+    weak_axis_rad = viewpoint.arrival.weak_axis_error_rad if viewpoint.arrival else 0.0
     confidence = _confidence(s, fused.angle_rad, passed)
     status: Status = "unsure"
     if not fused.settled and fused.angle_rad > s.settings.enough_rad:
         status = "max_moves" if s.moves_left <= 0 else "max_images"
     elif passed and not weak_axis_rad and confidence >= s.settings.min_confidence:
         status = "converged"
-    estimate = here.observations[-1].estimate
+    estimate = viewpoint.observations[-1].estimate
     parts = [
         f"estimate {degrees(estimate.angle_rad, 2)}, {fused}: {status.replace('_', ' ')}",
         *([] if status == "converged" else [f"confidence {format_probability(confidence)}"]),
@@ -152,7 +153,7 @@ def _confidence(s: Situation, angle_rad: float, passed: bool) -> float:
     """Probability that the present pose is within 5 degrees of the goal: by the pose's log-odds, shared with all that
     match equally unless these are one by symmetry, and by the remaining rotation."""
     assert s.best is not None
-    log_odds = s.belief.here.log_odds(s.belief.settings)
+    log_odds = s.belief.viewpoint_now.log_odds(s.belief.settings)
     if not passed:
         log_odds = min(log_odds, s.best.arrival_log_odds)
     shared = 1 if not s.equals or s.symmetry[0] else 1 + len(s.equals)

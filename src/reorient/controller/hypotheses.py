@@ -31,9 +31,10 @@ class BeliefSettings(PoseSettings):
     new_view_rad: float = float(np.radians(10))
     """Viewpoints nearer to each other than this show the same and err alike; they count once. Not tuned."""
     unnamed: float = 0.1
-    """Share of the probability that an estimate leaves which each hypothesis gets that it does not name. Not tuned."""
+    """Fraction of an estimate's unassigned probability given to each hypothesis that it does not name. Not tuned."""
     views_against: float = -4.0
-    """Least log-odds by viewpoints elsewhere, as these err alike. Loops of tuning objects (61a9af1)."""
+    """Lower bound on a hypothesis's log-odds by the estimates of all viewpoints, relative to the likeliest hypothesis
+    (<= 0), as viewpoints err alike. Loops of tuning objects (61a9af1)."""
     views_against_tested: float = -1.0
     """The same for a hypothesis with an arrival test. Loops of tuning objects (61a9af1)."""
     max_compared: int = 4
@@ -78,8 +79,8 @@ class Hypothesis:
     """Number of viewpoints at it."""
     arrival_log_odds: float = float("-inf")
     """The largest log-odds of their arrival tests; minus infinity without one."""
-    view_log_odds: float = 0.0
-    """Log-probability by all viewpoints, without bounds."""
+    view_log_probability: float = 0.0
+    """Sum over distinct views of the mean log-probability that their estimates give it; unbounded, unnormalised."""
     log_odds: float = 0.0
     """Log-odds in all."""
 
@@ -121,12 +122,12 @@ def nearest(estimate: RotationEstimate, R: Float[np.ndarray, "3 3"]) -> tuple[Fl
 def _confidence_here(estimate: RotationEstimate, same_rad: float) -> float:
     """The confidence of an estimate if its answer is to stay, or if staying is as likely; else less."""
     named = answers(estimate)
-    here = max((p for R, p in named if float(so3.angle(R)) <= same_rad), default=0.0)
+    staying = max((p for R, p in named if float(so3.angle(R)) <= same_rad), default=0.0)
     whole = named[0][1] if estimate.confidence is None else estimate.confidence
-    return whole * min(1.0, here / max(named[0][1], 1e-9))  # the likeliest answer may lead away
+    return whole * min(1.0, staying / max(named[0][1], 1e-9))  # the likeliest answer may lead away
 
 
-def at(hypothesis: Hypothesis, viewpoint: Viewpoint, settings: BeliefSettings) -> bool:
+def is_at(hypothesis: Hypothesis, viewpoint: Viewpoint, settings: BeliefSettings) -> bool:
     """Whether a viewpoint is at a hypothesis."""
     return float(so3.angle(hypothesis.R_goal_start @ viewpoint.R_then_start.T)) <= settings.near_rad
 
@@ -136,7 +137,7 @@ def stays(viewpoint: Viewpoint, settings: BeliefSettings) -> bool:
     return min(nearest(x.estimate, np.eye(3))[1] for x in viewpoint.observations) <= settings.near_rad
 
 
-def same_view(one: Viewpoint, other: Viewpoint, settings: BeliefSettings) -> bool:
+def near_viewpoints(one: Viewpoint, other: Viewpoint, settings: BeliefSettings) -> bool:
     """Whether two viewpoints show nearly the same."""
     return float(so3.angle_difference(one.R_then_start, other.R_then_start)) < settings.new_view_rad
 
@@ -144,14 +145,12 @@ def same_view(one: Viewpoint, other: Viewpoint, settings: BeliefSettings) -> boo
 def hypotheses_of(viewpoints: Sequence[Viewpoint], settings: BeliefSettings) -> tuple[Hypothesis, ...]:
     """All orientations that estimates name or flips of arrivals suggest, the likeliest first."""
     found, views = _clusters(viewpoints, settings), _views(viewpoints, settings)
-    view_log_odds = [sum(_log_probability(x, viewpoints, view, settings) for view in views) for x in found]
-    largest = max(view_log_odds)
-    weighed = [
-        _weighed(x, viewpoints, one, one - largest, settings) for x, one in zip(found, view_log_odds, strict=True)
-    ]
+    by_views = [sum(_log_probability(x, viewpoints, view, settings) for view in views) for x in found]
+    largest = max(by_views)
+    weighed = [_weighed(x, viewpoints, one, one - largest, settings) for x, one in zip(found, by_views, strict=True)]
     compared = _compared([x for x in weighed if x.tested], viewpoints, settings)
     untested = [x for x in weighed if not x.tested]
-    return tuple(sorted([*compared, *untested], key=lambda x: (-x.log_odds, -x.view_log_odds)))
+    return tuple(sorted([*compared, *untested], key=lambda x: (-x.log_odds, -x.view_log_probability)))
 
 
 def _clusters(viewpoints: Sequence[Viewpoint], settings: BeliefSettings) -> list[Hypothesis]:
@@ -184,7 +183,7 @@ def _views(viewpoints: Sequence[Viewpoint], settings: BeliefSettings) -> list[li
     """The viewpoints by index, those together that show nearly the same."""
     views: list[list[int]] = []
     for index, viewpoint in enumerate(viewpoints):
-        same = (view for view in views if same_view(viewpoints[view[0]], viewpoint, settings))
+        same = (view for view in views if near_viewpoints(viewpoints[view[0]], viewpoint, settings))
         view = next(same, None)
         if view is None:
             views.append([index])
@@ -211,21 +210,21 @@ def _log_probability(
 def _weighed(
     hypothesis: Hypothesis,
     viewpoints: Sequence[Viewpoint],
-    view_log_odds: float,
+    view_log_probability: float,
     to_largest: float,
     settings: BeliefSettings,
 ) -> Hypothesis:
     """A hypothesis with its log-odds, not yet compared with others."""
-    there = [x for x in viewpoints if at(hypothesis, x, settings)]
+    there = [x for x in viewpoints if is_at(hypothesis, x, settings)]
     tests = [x.arrival.log_odds for x in there if x.arrival is not None]
     least = settings.views_against_tested if tests else settings.views_against
-    elsewhere = least if hypothesis.guessed else max(to_largest, least)
+    by_estimates = least if hypothesis.guessed else max(to_largest, least)
     return replace(
         hypothesis,
         visits=len(there),
         arrival_log_odds=max(tests, default=float("-inf")),
-        view_log_odds=view_log_odds,
-        log_odds=elsewhere + _log_odds_at(there, settings),
+        view_log_probability=view_log_probability,
+        log_odds=by_estimates + _log_odds_at(there, settings),
     )
 
 
@@ -247,7 +246,7 @@ def _compared(
     largest = max(x.log_odds for x in tested)
     nll, counts = [], []
     for hypothesis in tested:
-        there = [x for x in viewpoints if x.arrival is not None and at(hypothesis, x, settings)]
+        there = [x for x in viewpoints if x.arrival is not None and is_at(hypothesis, x, settings)]
         sizes = [len(x.observations) for x in there]
         nll.append(float(np.average([x.arrival.depth_nll for x in there if x.arrival], weights=sizes)))
         counts.append(sum(sizes))

@@ -9,29 +9,34 @@ from jaxtyping import Float
 from reorient import so3
 from reorient.controller.base import Reachable
 from reorient.controller.belief import Belief
-from reorient.controller.hypotheses import BeliefSettings, Hypothesis, Viewpoint, at, stays
+from reorient.controller.hypotheses import BeliefSettings, Hypothesis, Viewpoint, is_at, stays
 from reorient.errors import ReorientError
 
 
 @dataclass(frozen=True, kw_only=True)
 class FusingSettings:
-    """The settings of ``Fusing``. Raises ReorientError for limits that allow nothing."""
+    """The settings of ``Fusing``.
+
+    docs/tuning.md states which objects are tuning objects, and what was changed after a look at the reporting half.
+
+    Raises ReorientError for limits that allow nothing.
+    """
 
     max_images: int = 40
     """Largest number of images."""
     max_moves: int = 12
-    """Largest number of moves."""
+    """Largest number of commanded moves; an undone one counts twice."""
     tolerance_rad: float = float(np.radians(0.08))
     """Converged once the fused estimate is at most this, or not clearly above its standard error."""
     patience: int = 3
     """Number of consecutive errors of station or estimator that the loop survives."""
     history: bool = False
     """Whether the estimator receives earlier images. No better on 100 loops of tuning objects (docs/ablations.md)."""
-    belief: BeliefSettings = field(default_factory=BeliefSettings)
+    belief_settings: BeliefSettings = field(default_factory=BeliefSettings)
 
     approach_rad: float = float(np.radians(1))
     """With more left, the first observation of a pose is enough to move closer. Not tuned."""
-    captures: int = 6
+    max_captures: int = 6
     """Observations of one pose at most. Loops of tuning objects (ed0cd77)."""
     steady_rad: float = float(np.radians(0.09))
     """Standard error of the fused estimate that needs no more observations. Loops of tuning objects (ed0cd77)."""
@@ -41,8 +46,8 @@ class FusingSettings:
     """Moves kept for the way back to the best hypothesis and the last small ones. Loops of tuning objects (6780065)."""
 
     equivalent: float = 0.9
-    """Log-odds below the likeliest hypothesis with which an untested one is as good, and is taken where it is nearer to
-    the start. Loops of tuning objects (a1edc20)."""
+    """An untested hypothesis less than this many nats below the likeliest counts as equally likely; the one nearest the
+    start is taken. Loops of tuning objects (a1edc20)."""
     tie: float = 3.0
     """Difference of log-odds between tested hypotheses that is noise. 203 look-alikes (benchmarks/lookalikes.py): 0 of
     127 decided by three nats was wrong, 1 of 140 by two; chosen after a look at loops of the reporting half."""
@@ -98,7 +103,7 @@ class Situation:
     @property
     def moves_left(self) -> int:
         """Moves that the settings still allow."""
-        return self.settings.max_moves - self.belief.moves
+        return self.settings.max_moves - self.belief.commanded_moves
 
     @property
     def images_left(self) -> int:
@@ -108,17 +113,17 @@ class Situation:
     @property
     def captures(self) -> int:
         """Observations of the present pose."""
-        return len(self.belief.here.observations)
+        return len(self.belief.viewpoint_now.observations)
 
     @property
     def may_capture(self) -> bool:
         """Whether one more observation of the present pose is allowed."""
-        return self.images_left > 0 and self.captures < self.settings.captures
+        return self.images_left > 0 and self.captures < self.settings.max_captures
 
     @cached_property
     def exploring(self) -> bool:
         """Whether moves and images are left for more than the way back to the best hypothesis."""
-        return min(self.moves_left, self.images_left - self.settings.captures) > self.settings.reserve
+        return min(self.moves_left, self.images_left - self.settings.max_captures) > self.settings.reserve
 
     @cached_property
     def hypotheses(self) -> list[Hypothesis]:
@@ -130,41 +135,54 @@ class Situation:
         return next((found for found in by_times if found), [])
 
     @cached_property
-    def here(self) -> Hypothesis | None:
+    def hypothesis_here(self) -> Hypothesis | None:
         """The hypothesis of the present pose, if an estimate stays at it."""
-        if not self.hypotheses or not stays(self.belief.here, self.belief.settings):
+        if not self.hypotheses or not stays(self.belief.viewpoint_now, self.belief.settings):
             return None
         return min(self.hypotheses, key=self.angle_rad)
 
     @cached_property
     def best(self) -> Hypothesis | None:
-        """The hypothesis to be at; None where none is left. At the end, of the tested ones, if there are any."""
-        others = [x for x in self.hypotheses if x is self.here or not self.is_near(x)]
+        """The hypothesis to be at; None where none is left. Once no longer exploring: of the tested ones, else of those
+        that an estimate names."""
+        candidates = [x for x in self.hypotheses if x is self.hypothesis_here or not self.is_near(x)]
         if not self.exploring:
-            others = [x for x in others if x.tested] or [x for x in others if not x.guessed]
-        return self._best(others) if others else None
+            candidates = [x for x in candidates if x.tested] or [x for x in candidates if not x.guessed]
+        return self._best(candidates) if candidates else None
 
     def _best(self, found: list[Hypothesis]) -> Hypothesis:
-        """The likeliest one. Of tested ones in a tie: one near the start, or else the present one, unless another is a
-        little better. Of untested ones that are about as likely: the nearest to the start that can be reached."""
+        """The best of some hypotheses, the likeliest first.
+
+        Tested hypotheses within ``tie`` of the top: the one nearest the start, if within ``near_start_rad``, even if an
+        untested one is likelier. Else a tested top, or the present one if tied and less than ``better`` below. Else, of
+        about equally likely ones, the nearest to the start that can be reached.
+        """
         top, s = found[0], self.settings
         tied = [x for x in found if x.tested and top.log_odds - x.log_odds < s.tie]
         if near := [x for x in tied if x.from_start_rad <= s.near_start_rad]:
             return min(near, key=lambda x: x.from_start_rad)
         if top.tested:
-            return self.here if self.here in tied and top.log_odds - self.here.log_odds < s.better else top
-        good = [x for x in found if max(top.log_odds - x.log_odds, top.view_log_odds - x.view_log_odds) < s.equivalent]
+            here = self.hypothesis_here
+            return here if here in tied and top.log_odds - here.log_odds < s.better else top
+        good = [
+            x
+            for x in found
+            if max(top.log_odds - x.log_odds, top.view_log_probability - x.view_log_probability) < s.equivalent
+        ]
         good.sort(key=lambda x: x.from_start_rad)
         return next((x for x in good if self.is_near(x) or self.can_reach(x)), good[0])
 
     @cached_property
     def competing(self) -> Hypothesis | None:
-        """The hypothesis to visit before the best one, which was tested, is accepted: an alternative that an estimate
-        named, unless the arrival leaves no doubt, or else a flip that no image contradicts, even then."""
+        """Hypothesis to visit before the tested best one is accepted, or None.
+
+        If the arrival leaves doubt: a named alternative, or a flip of at most ``flip_loss_in_doubt``. If it leaves
+        none: only a flip of at most ``flip_loss``.
+        """
         best = self.best
         if best is None or not self.exploring:
             return None
-        there = self.belief.at(best)
+        there = self.belief.tested_viewpoints_at(best)
         if not there:
             return None
         sure, s = self._is_sure(best, there), self.settings
@@ -183,7 +201,7 @@ class Situation:
         log_odds = np.mean([x.log_odds(self.belief.settings) for x in there])
         if log_odds >= self.settings.sure_arrival:
             return True
-        away = [k for k, x in enumerate(self.belief.viewpoints) if not at(best, x, self.belief.settings)]
+        away = [k for k, x in enumerate(self.belief.viewpoints) if not is_at(best, x, self.belief.settings)]
         elsewhere = [max(best.probabilities[k]) for k in away if k in best.probabilities]
         return bool(log_odds > 0 and max(elsewhere, default=1.0) >= self.settings.sure_elsewhere)
 
@@ -194,16 +212,19 @@ class Situation:
 
     @cached_property
     def symmetry(self) -> tuple[bool | None, Float[np.ndarray, "3 3"]]:
-        """Whether the best hypothesis and its equals are one orientation of a symmetric object; None where no views
-        show it yet, with the rotation to a pose that helps to."""
+        """Whether the best hypothesis and its equals are one orientation of a symmetric object.
+
+        True: symmetric. False: not. None: undecided; the rotation (camera axes, left) then leads to a pose to observe
+        next.
+        """
         belief, best = self.belief, self.best
         assert best is not None
         R_best_now = belief.R_goal_now(best)
-        here = next(x.observations for x in reversed(belief.viewpoints) if x.arrival is not None)
-        now = belief.here.R_then_start
+        reference = next(x.observations for x in reversed(belief.viewpoints) if x.arrival is not None)
+        now = belief.viewpoint_now.R_then_start
         views = [(x.observations[0], x.R_then_start @ now.T) for x in belief.viewpoints]
         test = belief.settings.symmetry_test
-        known = [test.symmetric(R_best_now.T @ belief.R_goal_now(x), here[:2], views) for x in self.equals]
+        known = [test.symmetric(R_best_now.T @ belief.R_goal_now(x), reference[:2], views) for x in self.equals]
         by_answer = {symmetric: (symmetric, R) for symmetric, R in reversed(known)}
         return by_answer.get(False) or by_answer.get(None) or (True, np.eye(3))  # one that is no symmetry is enough
 

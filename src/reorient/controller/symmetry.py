@@ -39,12 +39,12 @@ class Flip:
 
 @dataclass(frozen=True, kw_only=True)
 class SymmetryTest(PoseSettings):
-    """The settings of flip hypotheses and of the symmetry test."""
+    """Flip hypotheses and symmetry test; the fields are its settings."""
 
     tolerance: float = 0.012
     """Largest depth difference of an inlier, relative to the object diameter. Loops of tuning objects (ed0cd77)."""
     max_extra_outliers: float = 0.03
-    """Share of returns with a large depth difference by which two images of one view may exceed two observations of one
+    """Largest excess of the outlier share between two images of one view over that between two observations of one
     pose. 29 symmetric generated objects and 63 look-alikes (1ab385c): it accepts 22 of the former, 10 of the latter."""
     max_extra_missing: float = 0.1
     """The same for the share of returns that the other image does not show. Same objects."""
@@ -65,25 +65,26 @@ class SymmetryTest(PoseSettings):
     def symmetric(
         self,
         S: Float[np.ndarray, "3 3"],
-        here: Sequence[PreparedImage],
+        reference: Sequence[PreparedImage],
         views: Sequence[tuple[PreparedImage, Float[np.ndarray, "3 3"]]],
     ) -> tuple[bool | None, Float[np.ndarray, "3 3"]]:
-        """Whether the rotation S of the object in the present pose is a symmetry: it then repeats the views from
-        elsewhere, too, which a resemblance from one side does not.
+        """Whether the rotation S (camera axes) of the object in the present pose is a symmetry: it then repeats the
+        views from elsewhere, too, which a resemblance from one side does not.
 
-        ``here``: two observations of the goal pose. ``views``: one image of each viewpoint, with R_then_now. Returns
-        None where no two views show it yet, with the rotation (camera axes, left) to a pose that helps to.
+        ``reference``: two observations of the goal pose. ``views``: one image of each viewpoint, with R_then_now.
+        True: symmetric. False: not. None: undecided; the rotation (camera axes, left) then leads to a pose to observe
+        next.
         """
         elsewhere = [(image, R) for image, R in views if _view_angle_rad(R, S) >= self.elsewhere_rad]
         for image, R in elsewhere:
             for other, R_other in views:
                 if other is not image and float(so3.angle(R_other.T @ R @ S)) <= self.near_rad:
-                    return self.same_view(image, other, here), np.eye(3)
+                    return self.images_agree(image, other, reference), np.eye(3)
         if elsewhere:
             return None, max((R for _, R in elsewhere), key=lambda R: _view_angle_rad(R, S)) @ S
         return None, max(OTHER_SIDES, key=lambda R: _view_angle_rad(R, S))
 
-    def same_view(self, one: PreparedImage, other: PreparedImage, reference: Sequence[PreparedImage]) -> bool:
+    def images_agree(self, one: PreparedImage, other: PreparedImage, reference: Sequence[PreparedImage]) -> bool:
         """Whether two images show the same view of an object, nearly as well as two reference images of one pose."""
         motion = aligned(one.image, other.image)
         if float(so3.angle(motion[0])) > self.same_rad:

@@ -30,9 +30,10 @@ class RotationEstimate:
     confidence: float | None = None
     """Calibrated probability that the symmetry-aware error is below 5 degrees; None where not calibrated."""
     alternatives: tuple[tuple[Float[np.ndarray, "3 3"], float], ...] = ()
-    """Other rotations that fit, each with its probability."""
+    """Other rotations that fit, each with its probability; the confidence and these need not sum to 1."""
     covariance_rad2: Float[np.ndarray, "3 3"] | None = None
-    """Of the rotation vector of a left perturbation, given that the answer is near the truth; or None."""
+    """Covariance (rad^2) of the rotation vector d, camera axes, in R_true = exp(d) R_goal_current, if the answer is
+    near the truth; None if unknown."""
 
     @property
     def T_goal_current(self) -> se3.Transform:
@@ -46,7 +47,7 @@ class RotationEstimate:
 
     @property
     def quat_wxyz(self) -> Float[np.ndarray, "4"]:
-        """The rotation as a unit quaternion with q_r >= 0."""
+        """The rotation as a unit quaternion with w >= 0."""
         return so3.quat_from_matrix(self.R_goal_current)
 
     @property

@@ -1,4 +1,4 @@
-"""The paper's baseline: trimesh's iterative closest point, on correct clouds, reflection and scale off.
+"""The paper's baseline: trimesh's ICP on correctly projected point clouds, reflection and scale off.
 
 The paper's release shrinks the cloud to a line and lets ICP mirror and scale it; `reorient reproduce non-symmetric`
 measures the effect.

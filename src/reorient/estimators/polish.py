@@ -14,28 +14,34 @@ FEWEST_POINTS = 11  # of a cloud at its resolution; small_gicp warns of fewer; n
 
 @dataclass(frozen=True, kw_only=True)
 class Polish:
-    """Settings; lengths relative to the object diameter."""
+    """Settings; lengths relative to the object diameter.
+
+    The gain of the polish is in docs/ablations.md. The trials of the fields without a reference are not recorded.
+    """
 
     tolerances: tuple[float, ...] = (0.008, 0.006, 0.004, 0.003)
-    """Of the Gauss-Newton steps, unless noise forbids."""
+    """Of the Gauss-Newton steps, unless noise forbids. Four or two of them: docs/tuning.md."""
     points: int = 4000
     """Of each image."""
     noise_factor: float = 4.0
     """The tolerances are at least this many residuals of the inliers."""
     inlier_tolerance: float = 0.012
-    """Depth difference of the inliers that measure the noise."""
+    """Depth difference of the inliers that measure the noise. Against 0.015: docs/tuning.md."""
     quiet: float = 0.0045
-    """Residual of depth with next to no noise; also the tolerance by which ICP's answer is compared with its start."""
+    """Residual of depth with next to no noise; also the tolerance by which ICP's answer is compared with its start.
+    What exact depth leaves (7d3071c)."""
     voxel: float = 0.009
-    """Of ICP's clouds."""
+    """Of ICP's clouds. Finer voxels, and one size for both: docs/tuning.md."""
     noisy_voxel: float = 0.02
-    """The same for noisy depth; also the largest distance of ICP's correspondences."""
+    """The same for noisy depth (docs/tuning.md); also the largest distance of ICP's correspondences."""
     loss: float = 0.002
-    """Score that ICP's answer may lose: differences below a pixel count as little."""
+    """Score that ICP's answer may lose: differences below a pixel count as little. 0.02 was too much on a generated
+    object (48ae15e)."""
     least_noise: float = 0.001
     """Residual of exact depth, which comes from interpolation between pixels."""
     covariance_scale: float = 0.044
-    """From the inverse of the curvature to the scatter observed with 1 mm noise; without noise it is pessimistic."""
+    """From the inverse of the curvature to the scatter of 40 errors with 1 mm of noise (7d3071c); without noise it is
+    pessimistic."""
 
 
 POLISH = Polish()

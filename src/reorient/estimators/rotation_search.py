@@ -42,7 +42,7 @@ class RotationSearch:
         """As ``Estimator.estimate``; of the history the captures that show the most new are used."""
         check_pair(current, goal, pivot_m)
         problem = build_problem(current, goal, pivot_m, checked_history(history))
-        return verify(problem, search(problem, EFFORTS[self._effort]), load_verifier(), self._effort)
+        return select_and_polish(problem, search(problem, EFFORTS[self._effort]), load_verifier(), self._effort)
 
     def estimate_many(
         self,
@@ -62,15 +62,15 @@ class RotationSearch:
         return list(pool.map(lambda task: self.estimate(*task), tasks))
 
 
-def verify(problem: Problem, hypotheses: Hypotheses, verifier: Verifier, effort: str) -> RotationEstimate:
+def select_and_polish(problem: Problem, hypotheses: Hypotheses, verifier: Verifier, effort: str) -> RotationEstimate:
     """The most likely hypothesis of a search with that effort, polished, and the alternatives to it."""
-    seen = [features(problem.only(observation), hypotheses) for observation in problem.observations]
-    log_odds = np.mean([verifier.log_odds(each) for each in seen], axis=0)
+    by_observation = [verifier.log_odds(features(problem.only(x), hypotheses)) for x in problem.observations]
+    log_odds = np.mean(by_observation, axis=0)
     probability = verifier.probability(log_odds, effort)
     best = int(np.argsort(-log_odds, kind="stable")[0])
     likely = np.nonzero(probability > ALTERNATIVE_ABOVE * probability[best])[0]
-    likely = likely[non_maximum_suppression(hypotheses.R[likely], log_odds[likely], DISTINCT_RAD)]
-    share = probability / max(float(probability[likely].sum()), 1.0)
+    distinct = likely[non_maximum_suppression(hypotheses.R[likely], log_odds[likely], DISTINCT_RAD)]  # the best first
+    share = probability / max(float(probability[distinct].sum()), 1.0)  # normalised only if they sum to more than 1
     answer = polish(problem, hypotheses[np.array([best])])
     return with_evidence(
         problem.current,
@@ -80,6 +80,6 @@ def verify(problem: Problem, hypotheses: Hypotheses, verifier: Verifier, effort:
         converged=answer.converged,
         iterations=answer.iterations,
         confidence=float(probability[best]),
-        alternatives=tuple((hypotheses.R[i], float(share[i])) for i in likely[1:]),
+        alternatives=tuple((hypotheses.R[i], float(share[i])) for i in distinct[1:]),
         covariance_rad2=covariance_rad2(problem, answer.hypothesis),
     )

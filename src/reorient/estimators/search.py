@@ -17,7 +17,7 @@ from reorient import so3
 from reorient.registration import Hypotheses, Problem, non_maximum_suppression, refine
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Stage:
     """One level of refinement; lengths relative to the object diameter."""
 
@@ -26,8 +26,9 @@ class Stage:
     points: int
     """Of each image."""
     scored_tolerance: float
+    """For the ranking after the steps: depth difference of an inlier."""
     scored_points: int
-    """Of each image."""
+    """For the ranking after the steps: of each image."""
     keep: int
     """Hypotheses that are kept."""
     radius_deg: float
@@ -40,68 +41,99 @@ class Stage:
     """Root mean square of their shifts."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Effort:
     """How much work the search does."""
 
     grid: int
-    """Rotations."""
+    """Rotations of the grid."""
     grid_points: int
-    """Of each image."""
+    """Of each image, for the ranking of the grid."""
     slid: int
-    """How many of them take two Gauss-Newton steps."""
+    """Best grid rotations that take two Gauss-Newton steps."""
     modes: int
-    """How many are left after non-maximum suppression."""
+    """How many of these are left after non-maximum suppression."""
     stages: tuple[Stage, ...]
 
 
-GRID_TOLERANCE = 0.05
-SLIDE, SLIDE_POINTS = (0.08, 0.08), 60
-MODE_RADIUS_RAD = float(np.radians(15))
+GRID_TOLERANCE = 0.05  # depth difference of an inlier, relative to the object diameter
+SLIDE, SLIDE_POINTS = (0.08, 0.08), 60  # the two steps from the grid: tolerances (docs/tuning.md), points of each image
+MODE_RADIUS_RAD = float(np.radians(15))  # of the non-maximum suppression after these
 
 _COARSE = (0.05, 0.05, 0.04, 0.04, 0.03, 0.03)
 _MIDDLE = (0.03, 0.025, 0.02, 0.02, 0.015, 0.015)
 _FINE = (0.01, 0.01, 0.01, 0.01)
 _FINEST = (0.01, 0.008, 0.006)
 
+# What each stage, the perturbations and the number of modes of "normal" are worth: docs/ablations.md, "Stages of the
+# search". What limits "thorough": docs/tuning.md. The trials that chose the single numbers are not recorded.
+# fmt: off
 EFFORTS = {
     "fast": Effort(
-        1500,
-        60,
-        100,
-        16,
-        (
-            Stage(_COARSE, 100, 0.03, 200, 8, 8.0, 12, 0.2, 0.04),
-            Stage(_MIDDLE, 200, 0.015, 400, 4, 5.0),
-            Stage(_FINE, 600, 0.015, 600, 4, 3.0),
+        grid=1500, grid_points=60, slid=100, modes=16,
+        stages=(
+            Stage(
+                tolerances=_COARSE, points=100, scored_tolerance=0.03, scored_points=200,
+                keep=8, radius_deg=8.0, copies=12, rotation_rad=0.2, shift=0.04,
+            ),
+            Stage(
+                tolerances=_MIDDLE, points=200, scored_tolerance=0.015, scored_points=400,
+                keep=4, radius_deg=5.0,
+            ),
+            Stage(
+                tolerances=_FINE, points=600, scored_tolerance=0.015, scored_points=600,
+                keep=4, radius_deg=3.0,
+            ),
         ),
     ),
     "normal": Effort(
-        6000,
-        100,
-        500,
-        64,
-        (
-            Stage(_COARSE, 200, 0.03, 300, 34, 8.0, 24, 0.2, 0.04),
-            Stage(_MIDDLE, 400, 0.015, 600, 18, 5.0, 24, 0.1, 0.02),
-            Stage(_FINE, 1000, 0.01, 1000, 14, 3.0, 16, 0.06, 0.012),
-            Stage(_FINEST, 1000, 0.012, 1000, 14, 3.0),
+        grid=6000, grid_points=100, slid=500, modes=64,
+        stages=(
+            Stage(
+                tolerances=_COARSE, points=200, scored_tolerance=0.03, scored_points=300,
+                keep=34, radius_deg=8.0, copies=24, rotation_rad=0.2, shift=0.04,
+            ),
+            Stage(
+                tolerances=_MIDDLE, points=400, scored_tolerance=0.015, scored_points=600,
+                keep=18, radius_deg=5.0, copies=24, rotation_rad=0.1, shift=0.02,
+            ),
+            Stage(
+                tolerances=_FINE, points=1000, scored_tolerance=0.01, scored_points=1000,
+                keep=14, radius_deg=3.0, copies=16, rotation_rad=0.06, shift=0.012,
+            ),
+            Stage(
+                tolerances=_FINEST, points=1000, scored_tolerance=0.012, scored_points=1000,
+                keep=14, radius_deg=3.0,
+            ),
         ),
     ),
     "thorough": Effort(
-        12000,
-        150,
-        2000,
-        220,
-        (
-            Stage(_COARSE, 200, 0.03, 400, 110, 8.0, 48, 0.25, 0.05),
-            Stage(_COARSE, 300, 0.025, 600, 64, 6.0, 48, 0.15, 0.03),
-            Stage(_MIDDLE, 600, 0.015, 1000, 44, 4.0, 48, 0.1, 0.02),
-            Stage((*_FINE, *_FINE), 1000, 0.01, 1500, 28, 3.0, 32, 0.06, 0.012),
-            Stage((*_FINE, *_FINEST), 1500, 0.012, 1500, 24, 3.0),
+        grid=12000, grid_points=150, slid=2000, modes=220,
+        stages=(
+            Stage(
+                tolerances=_COARSE, points=200, scored_tolerance=0.03, scored_points=400,
+                keep=110, radius_deg=8.0, copies=48, rotation_rad=0.25, shift=0.05,
+            ),
+            Stage(
+                tolerances=_COARSE, points=300, scored_tolerance=0.025, scored_points=600,
+                keep=64, radius_deg=6.0, copies=48, rotation_rad=0.15, shift=0.03,
+            ),
+            Stage(
+                tolerances=_MIDDLE, points=600, scored_tolerance=0.015, scored_points=1000,
+                keep=44, radius_deg=4.0, copies=48, rotation_rad=0.1, shift=0.02,
+            ),
+            Stage(
+                tolerances=(*_FINE, *_FINE), points=1000, scored_tolerance=0.01, scored_points=1500,
+                keep=28, radius_deg=3.0, copies=32, rotation_rad=0.06, shift=0.012,
+            ),
+            Stage(
+                tolerances=(*_FINE, *_FINEST), points=1500, scored_tolerance=0.012, scored_points=1500,
+                keep=24, radius_deg=3.0,
+            ),
         ),
     ),
 }
+# fmt: on
 
 _grid = cache(so3.grid)
 
@@ -123,7 +155,8 @@ def search(problem: Problem, effort: Effort) -> Hypotheses:
 def propose(problem: Problem, effort: Effort) -> Hypotheses:
     """ "No rotation", and the best of the grid after non-maximum suppression."""
     everywhere = problem.start(_grid(effort.grid))
-    score = problem.image_score(everywhere, GRID_TOLERANCE, effort.grid_points)  # none moves a known pivot
+    # the prior costs nothing here: starts keep a known pivot in place
+    score = problem.image_score(everywhere, GRID_TOLERANCE, effort.grid_points)
     best = everywhere[np.argsort(-score, kind="stable")[: effort.slid]]
     slid = refine(problem, best, SLIDE, SLIDE_POINTS)
     score = problem.score(slid, GRID_TOLERANCE, effort.grid_points)

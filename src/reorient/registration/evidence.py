@@ -95,16 +95,18 @@ def warp_both(
 def score(
     current: DepthView, goal: DepthView, hypotheses: Hypotheses, tolerance_m: float, points: int
 ) -> Float[np.ndarray, " k"]:
-    """``Evidence.score`` of many hypotheses at once, from at most so many points of each image."""
+    """Mean over both directions of inlier less violation shares, of many hypotheses at once; equals ``Evidence.score``
+    where both images give equally many points (``points`` at most)."""
     forward, backward = current.sample(points), goal.sample(points)
     total = np.zeros(len(hypotheses), np.float32)
     for batch in batches(len(total), max(forward.shape[1], backward.shape[1])):
         motion = hypotheses[batch].single()
         for view, x in ((goal, motion.move(forward)), (current, motion.inverse.move(backward))):
             warped = view.warp(x)
-            each = np.full(x.shape[2], 0.5 / x.shape[2], np.float32)  # a product with ones counts fastest
-            total[batch] += (warped.difference_m <= tolerance_m).astype(np.float32) @ each  # inliers and violations
-            total[batch] -= warped.violation(tolerance_m).astype(np.float32) @ (2 * each)  # which count -1, not 1
+            # per direction, inliers count +1/2 and violations -1/2, which is +1/2 - 1; a matrix product counts fastest
+            half = np.full(x.shape[2], 0.5 / x.shape[2], np.float32)
+            total[batch] += (warped.difference_m <= tolerance_m).astype(np.float32) @ half  # inliers and violations
+            total[batch] -= warped.violation(tolerance_m).astype(np.float32) @ (2 * half)  # violations alone
     return total
 
 

@@ -21,7 +21,11 @@ from reorient.registration.problem import Observation, Problem
 
 @dataclass(frozen=True, kw_only=True)
 class Weights:
-    """Weights of the residuals and of a step; lengths relative to the object diameter."""
+    """Weights of the residuals and of a step; lengths relative to the object diameter.
+
+    Of the trials that chose them only one is recorded: Gauss-Newton against a random search (docs/tuning.md,
+    "Refinement and speed").
+    """
 
     free_space: float = 0.25
     """Of a free-space violation, beside 1 for an inlier."""
@@ -86,7 +90,11 @@ def normal_equations(
 def _moments(
     problem: Problem, observation: Observation, hypotheses: Hypotheses, tolerance_m: float, points: int
 ) -> Float[np.ndarray, "k 7 7"]:
-    """Weighted products of the Jacobian's columns and the residual, summed over the points of both images."""
+    """Weighted products of the Jacobian's columns and the residual, averaged over the points of each image and summed
+    over both images.
+
+    Rows of ``J``: 0-2 the rotation, 3-5 the shift, 6 the residual. So the product holds H and, in its last column, g.
+    """
     motion, prior = hypotheses.single(), problem.prior
     source, target = observation.view.sample(points), problem.goal.sample(points)
     n, m = source.shape[1], target.shape[1]

@@ -18,6 +18,7 @@ table { border-collapse: collapse; width: 100%; font-size: 13.5px; font-variant-
 th, td { padding: 6px 10px; text-align: right; white-space: nowrap; }
 th { color: var(--soft); font-weight: 600; border-bottom: 2px solid var(--line); }
 th.word, td.word { text-align: left; }
+td.word { white-space: normal; min-width: 12em; }
 tr.begins td { border-top: 1px solid var(--line); }
 tbody tr:hover td { background-color: #f2f6fb; }
 td.bar { background-image: linear-gradient(#d7e6f7, #d7e6f7); background-repeat: no-repeat;

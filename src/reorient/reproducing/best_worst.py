@@ -40,7 +40,7 @@ class BestWorst:
         measure_pairs(setting, folder, objects, self.estimators, self.pairs)
 
     def findings(self, folder: Path) -> Sequence[Finding]:
-        """The extremes, which have no interval, and the means."""
+        """Best and worst error (deg) per estimator, and mean errors."""
         rows = labelled(folder)
         nan = float("nan")
         return [

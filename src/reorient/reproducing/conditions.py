@@ -39,7 +39,7 @@ class Condition:
 
 @dataclass(frozen=True)
 class Sweep:
-    """One thing that is varied."""
+    """One varied parameter with its conditions."""
 
     axis: str
     level: str

@@ -24,7 +24,7 @@ BINS = 6  # of the angle
 
 
 def measure_pairs(setting: Setting, folder: Path, objects: ObjectSource, names: Sequence[str], pairs: int) -> None:
-    """Raw rows of these estimators in the world of the paper's simulator, 0 to 30 degrees, no noise, no pivot."""
+    """Raw rows of the estimators ``names``: the world of the paper's simulator, 0 to 30 degrees, no noise, no pivot."""
     config = Evaluation(
         objects, tuple(names), "paper", ((0, 30),), (0.0,), setting.part(pairs), seed=setting.seed
     )  # fmt: skip

@@ -15,7 +15,7 @@ def load_station(name: str) -> Station:
     """
     module_name, _, attribute = name.partition(":")
     if not module_name or not attribute:
-        raise ReorientError(f"station {name!r}: expected 'rendered' or my_module:MyStation")
+        raise ReorientError(f"station {name!r}: expected my_module:MyStation")
     station = make_own("station", name)
     if missing := missing_members(station, ("capture", "rotate", "pivot_m")):
         raise ReorientError(

@@ -47,7 +47,8 @@ def describe_mesh(mesh: trimesh.Trimesh) -> dict[str, float]:
 
 
 def is_distinctive(mesh: trimesh.Trimesh) -> bool:
-    """The criterion for "non-symmetric" in the tables: residual at least 0.05, aspect below 12, at least 50 faces."""
+    """The criterion for "non-symmetric" in the tables: symmetry residual at least 0.05, aspect below 12, at least 50
+    faces."""
     figures = describe_mesh(mesh)
     return figures["symmetry_residual"] >= SYMMETRIC_BELOW and figures["aspect"] < 12 and figures["faces"] >= 50
 

@@ -76,7 +76,8 @@ def rod(start: Point, end: Point, radius: float, end_radius: float | None = None
 
 
 def beam(start: Point, end: Point, width: float, depth: float) -> Manifold:
-    """A square-edged bar from one point to another."""
+    """A square-edged bar from one point to another; ``width`` and ``depth`` of its cross-section in the units of the
+    points."""
     axis = np.subtract(end, start)
     return tilt(box((width, depth, float(np.linalg.norm(axis)))), axis, np.add(start, end) / 2)
 
