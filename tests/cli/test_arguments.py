@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import pytest
 
 from reorient.cli.arguments import Metavar, Positional, Presets, make_parser, parse
-from reorient.errors import ReorientError
+from reorient.errors import OutOfRange, ReorientError
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Inner:
 
     def __post_init__(self) -> None:
         if self.count < 1:
-            raise ReorientError("expected at least one thing")
+            raise OutOfRange("count", self.count, "at least one thing")
 
 
 RECIPES = {"small": Inner(count=1), "large": Inner(count=100)}
@@ -101,7 +101,7 @@ def test_options_change_a_preset(words, recipe):
     ("words", "message"),
     [
         ("", "the following arguments are required: SOURCE"),
-        ("a --pivot-m 1 2", "argument --pivot-m: expected 3 arguments"),
+        ("a --pivot-m 1 2", "argument --pivot-m: expected 3 numbers, got 2"),
         ("a --pivot-m 1 2 3 4", "unexpected argument '4' after --pivot-m"),
         ("a --pivot-m 1 2 x", "argument --pivot-m: expected a number, not 'x'"),
         ("a --count 1.5", "argument --count: expected a whole number, not '1.5'"),
@@ -116,7 +116,8 @@ def test_options_change_a_preset(words, recipe):
         ("a b", "unexpected argument 'b' (see program --help)"),
         ("a --quick b", "unexpected argument 'b' after --quick"),
         ("a -3", "unexpected argument '-3'"),
-        ("a --count 0", "expected at least one thing"),
+        ("a --count 0", "--count 0: expected at least one thing"),
+        ("--zzz", "unknown option '--zzz' (see program --help)"),
     ],
 )
 def test_wrong_words_are_one_sentence(words, message):

@@ -179,7 +179,7 @@ def test_refusals(finished, tmp_path):
         run(Evaluation(estimators=("nope",)), tmp_path)
     with pytest.raises(ReorientError, match="unknown world 'benchmrak': .*did you mean 'benchmark'"):
         run(Evaluation(world="benchmrak"), tmp_path)
-    with pytest.raises(ReorientError, match="0 workers: expected at least 1"):
+    with pytest.raises(ReorientError, match="workers=0: expected at least 1"):
         run(TINY, tmp_path, workers=0)
     for wrong in ({"pairs": 0}, {"seed": -1}, {"noise_mm": (-1.0,)}, {"ranges_deg": ((30, 10),)}, {"estimators": ()}):
         with pytest.raises(ReorientError, match="expected"):

@@ -242,8 +242,9 @@ def test_a_box_may_reach_beyond_the_image(image):
         ({"box_px": (0, 0, 5)}, r"box \(0, 0, 5\): expected left, top, width, height in whole pixels"),
         ({"box_px": (0.5, 0, 5, 5)}, "expected left, top, width, height in whole pixels"),
         ({"box_px": (-40, -40, 30, 30)}, "nothing is left of the image"),
-        ({"near_m": 0.8}, "nothing is left of the image"),
-        ({"far_m": 0.3}, "nothing is left of the image"),
+        ({"near_m": 0.8}, r"no returns beyond 0.8 m \(depths are "),
+        ({"far_m": 0.3}, r"no returns between 0 and 0.3 m \(depths are "),
+        ({"near_m": 0.6, "far_m": 0.5}, "depth range 0.6 to 0.5 m: expected near below far"),
     ],
 )
 @pytest.mark.usefixtures("unchecked")

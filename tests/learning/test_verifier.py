@@ -51,10 +51,10 @@ def test_shards_of_another_config_are_not_mixed(shards):
     [
         ({"effort": "foo"}, "unknown effort 'foo'"),
         ({"world": "foo"}, "unknown world 'foo'"),
-        *(({name: 0}, "expected at least one pair") for name in ("pairs", "per_shard")),
-        ({"seed": -1}, "a seed from 0"),
-        *(({"most_noise_mm": value}, "expected finite noise") for value in (-1.0, np.nan, np.inf)),
-        *(({"most_wrong_focal": value}, "a share below 1") for value in (-0.1, 1.0, np.nan)),
+        *(({name: 0}, f"{name}=0: expected a number from 1") for name in ("pairs", "per_shard")),
+        ({"seed": -1}, "seed=-1: expected a number from 0"),
+        *(({"most_noise_mm": value}, "most_noise_mm=.*: expected a number from 0") for value in (-1.0, np.nan, np.inf)),
+        *(({"most_wrong_focal": value}, "expected a number from 0 and below 1") for value in (-0.1, 1.0, np.nan)),
     ],
 )
 def test_what_cannot_be_made_is_refused(bad, message):

@@ -13,12 +13,12 @@ import shutil
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, NoReturn, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
-from reorient.errors import ReorientError
+from reorient.errors import OutOfRange, ReorientError
 
 T = TypeVar("T")
 _POSITIONAL = object()
@@ -58,11 +58,17 @@ def parse(config: type[T], program: str, arguments: Sequence[str]) -> T:
         print(parser.format_help(), end="")  # argparse's own printing hides a closed pipe
         raise SystemExit(0)
     words = [f" {word}" if _is_negative(word) else word for word in arguments]  # not an option to argparse: -1e-3
+    if wrong := _wrong_option(words, {option.flag: option for option in _flat(config) if not option.positional}):
+        parser.error(wrong)
     given, extra = parser.parse_known_intermixed_args(words)
     if extra:
-        parser.error(_unexpected(extra[0], words, [option.flag for option in _flat(config)]))
-    built: T = _build(config, {name: value for name, value in vars(given).items() if value is not None})
-    return built
+        parser.error(_unexpected(extra[0], words))
+    try:
+        return cast(T, _build(config, {name: value for name, value in vars(given).items() if value is not None}))
+    except OutOfRange as error:
+        raise ReorientError(
+            f"--{error.name.replace('_', '-')} {_in_words(error.value)}: expected {error.expected}"
+        ) from error
 
 
 def make_parser(config: type, program: str) -> argparse.ArgumentParser:
@@ -73,7 +79,7 @@ def make_parser(config: type, program: str) -> argparse.ArgumentParser:
     parser = _Parser(
         program,
         " ".join([program, *places, "[options]"]),
-        "\n\n".join(textwrap.fill(paragraph, width) for paragraph in text.split("\n\n")),
+        "\n\n".join(textwrap.fill(_plain(paragraph), width) for paragraph in text.split("\n\n")),
         f"examples:\n{textwrap.indent(textwrap.dedent(examples), '  ')}" if examples else None,
         formatter_class=lambda prog: argparse.RawDescriptionHelpFormatter(prog, max_help_position=30, width=width),
         add_help=False,
@@ -86,7 +92,7 @@ def make_parser(config: type, program: str) -> argparse.ArgumentParser:
         if option.group not in groups:
             title, _, description = option.group.partition(".")
             title = title[0].lower() + title[1:]
-            groups[option.group] = parser.add_argument_group(title, " ".join(description.split()) or None)
+            groups[option.group] = parser.add_argument_group(title, _plain(" ".join(description.split())) or None)
         option.add_to(positionals if option.positional else groups[option.group])
     options.add_argument("-h", "--help", action="help", help="Show this help and exit.")
     return parser
@@ -167,12 +173,10 @@ class _Option:
     @property
     def help(self) -> str:
         """The text below the field, and the default."""
-        text = self.text.replace("``", "'")
+        text = _plain(self.text)
         if self.default is MISSING or self.default is None or self.default is False or self.default == ():
             return text
-        values = self.default if isinstance(self.default, tuple) else (self.default,)
-        flat = [x for value in values for x in (value if isinstance(value, tuple) else (value,))]
-        return f"{text} (default: {' '.join(f'{x:g}' if isinstance(x, float) else str(x) for x in flat)})"
+        return f"{text} (default: {_in_words(self.default)})"
 
 
 def _options(config: type, start: Any = None) -> Iterator[_Option]:
@@ -215,14 +219,26 @@ def _build(config: type, given: dict[str, Any], start: Any = None) -> Any:
 
 
 def _texts(config: type) -> dict[str, str]:
-    """The string below each field of a dataclass, on one line."""
+    """The string below each field of a dataclass, inherited ones too, on one line."""
+    inherited = _texts(config.__base__) if config.__base__ and is_dataclass(config.__base__) else {}
     (node,) = ast.parse(textwrap.dedent(inspect.getsource(config))).body
-    return {
+    return inherited | {
         field.target.id: " ".join(text.value.value.split())
         for field, text in pairwise(node.body)  # type: ignore[attr-defined]
         if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
         if isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant) and isinstance(text.value.value, str)
     }
+
+
+def _plain(text: str) -> str:
+    return text.replace("``", "'")  # no markup
+
+
+def _in_words(value: Any) -> str:
+    """A value as it is typed: a tuple, of pairs too, as words."""
+    if isinstance(value, tuple):
+        return " ".join(map(_in_words, value))
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _is_negative(word: str) -> bool:
@@ -251,18 +267,29 @@ def _converter(kind: Any) -> Callable[[str], Any]:
         try:
             return kind(word)
         except ValueError as error:
-            raise argparse.ArgumentTypeError(
-                f"expected {_NUMBERS.get(kind, 'a value')}, not {word.strip()!r}"
-            ) from error
+            expected = _NUMBERS.get(kind, "a value")
+            raise argparse.ArgumentTypeError(f"expected {expected}, not {word.strip()!r}") from error
 
     return convert
 
 
-def _unexpected(word: str, words: list[str], known: list[str]) -> str:
-    """The message for a word that the parser could not place."""
-    if word.startswith("-"):
+def _wrong_option(words: list[str], options: Mapping[str, _Option]) -> str:
+    """The message for the first option that is unknown or has too few of a fixed number of values; "" for none."""
+    for place, word in enumerate(words):
         name = word.partition("=")[0]
-        return f"unknown option {name!r}{did_you_mean(name, known)}"
+        if not word.startswith("-") or word == "-":
+            continue
+        if name not in options:
+            return f"unknown option {name!r}{did_you_mean(name, list(options))}"
+        args = get_args(options[name].kind) if get_origin(options[name].kind) is tuple else ()
+        given = len(list(takewhile(lambda each: each == "-" or not each.startswith("-"), words[place + 1 :])))
+        if args and args[-1] is not Ellipsis and given < len(args) and name == word:
+            return f"argument {name}: expected {len(args)} numbers, got {given}"
+    return ""
+
+
+def _unexpected(word: str, words: list[str]) -> str:
+    """The message for a word that the parser could not place."""
     before = [each for each in words[: words.index(word)] if each.startswith("--")]
     return f"unexpected argument {word.strip()!r}" + (f" after {before[-1]}" if before else "")
 

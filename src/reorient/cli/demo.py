@@ -8,6 +8,7 @@ import numpy as np
 
 from reorient.cli.robot import print_outcome
 from reorient.cli.stations import StationChoice, rotate_away
+from reorient.errors import check_range
 from reorient.runs.files import make_folder
 
 
@@ -31,9 +32,15 @@ class Demo:
     noise_mm: float = 1.0
     """Standard deviation of the depth noise."""
     estimator: str = "rotation-search"
-    """One of rotation-search, fast, thorough, gicp, icp, swift and paper, an .onnx file, or your own module:Class."""
+    """One of default (rotation-search), rotation-search, fast, thorough, gicp, icp, paper and swift, an .onnx file,
+    or your own module:Class."""
     seed: int = 0
     """Seed of the poses and the noise."""
+
+    def __post_init__(self) -> None:
+        """Raises ReorientError for values out of range."""
+        check_range(self, "object_index", "noise_mm", "seed")
+        check_range(self, "start_deg", high=180)
 
     def run(self) -> int:
         """Make the station, capture the goal, rotate to the start, and close the loop."""

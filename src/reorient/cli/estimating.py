@@ -37,9 +37,9 @@ class Frames:
     box: Annotated[tuple[int, ...], Metavar("PX")] = ()
     """Left, top, width and height of the box that holds the object: four numbers, or eight for two boxes."""
     near: Annotated[tuple[str, ...], Metavar("M")] = ()
-    """Smallest depth of the object."""
+    """Ignore returns nearer than this, in metres."""
     far: Annotated[tuple[str, ...], Metavar("M")] = ()
-    """Largest depth of the object."""
+    """Ignore returns farther than this, in metres."""
 
     def read(self, path: Path, *, goal: bool) -> "DepthImage":
         """The isolated image; ``goal``: by the options for GOAL, not those for CURRENT."""
@@ -50,19 +50,29 @@ class Frames:
         if len(self.box) not in (0, 4, 8):
             raise ReorientError(f"--box with {len(self.box)} numbers: expected left top width height, once or twice")
         box = self.box[4:] if goal and len(self.box) == 8 else self.box[:4]
+        near_m, far_m = _metres(self.near, goal, "--near"), _metres(self.far, goal, "--far")
+        if near_m is not None and far_m is not None and near_m >= far_m:
+            raise ReorientError(f"--near {near_m:g} --far {far_m:g}: expected --near below --far")
         image = read_depth(path, self._camera(camera_file), _each(self.depth_scale, goal, "--depth-scale"))
-        return isolate(
-            image,
-            mask=None if mask in (None, "-") else read_mask(mask),
-            box_px=(box[0], box[1], box[2], box[3]) if box else None,
-            near_m=_metres(self.near, goal, "--near"),
-            far_m=_metres(self.far, goal, "--far"),
-        )
+        mask_array = None if mask in (None, "-") else read_mask(mask)
+        box_px = (box[0], box[1], box[2], box[3]) if box else None
+        try:
+            return isolate(image, mask_array, box_px, near_m, far_m)
+        except ReorientError as error:
+            raise ReorientError(f"{path}: {error}") from error
 
     def _camera(self, file: str | None) -> "Camera | None":
         from reorient.imaging.files import read_camera
 
         return None if file in (None, "-") else read_camera(file)
+
+
+@dataclass(frozen=True)
+class GoalFrame(Frames):
+    """Reading and isolation of GOAL.
+
+    The images of the station are used as they are.
+    """
 
 
 def _each(values: tuple[T, ...], goal: bool, flag: str) -> T | None:
@@ -73,10 +83,15 @@ def _each(values: tuple[T, ...], goal: bool, flag: str) -> T | None:
 
 def _metres(values: tuple[str, ...], goal: bool, flag: str) -> float | None:
     value = _each(values, goal, flag)
+    if value in (None, "-"):
+        return None
     try:
-        return None if value in (None, "-") else float(value)
-    except ValueError as error:
-        raise ReorientError(f"{flag} {value}: expected metres, or '-' for none") from error
+        metres = float(value)
+    except ValueError:
+        metres = -1.0
+    if not metres >= 0:
+        raise ReorientError(f"{flag} {value}: expected metres from 0, or '-' for none")
+    return metres
 
 
 @dataclass(frozen=True)
@@ -97,7 +112,8 @@ class Estimate:
     """Depth image of the object as it should be."""
     frames: Frames = field(default_factory=Frames)
     estimator: str = "rotation-search"
-    """One of rotation-search, fast, thorough, gicp, icp, swift and paper, an .onnx file, or your own module:Class."""
+    """One of default (rotation-search), rotation-search, fast, thorough, gicp, icp, paper and swift, an .onnx file,
+    or your own module:Class."""
     pivot: Annotated[tuple[float, float, float] | None, Metavar(("X", "Y", "Z"))] = None
     """Rotation centre in camera axes, in metres, if known to about 1 cm."""
     json: bool = False

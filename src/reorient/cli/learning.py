@@ -8,7 +8,7 @@ from typing import Annotated
 
 from reorient.cli.arguments import Positional, Presets
 from reorient.cli.progress import show_progress
-from reorient.errors import ReorientError
+from reorient.errors import ReorientError, check_range
 from reorient.learning.recipes import PRESETS, NetworkName, Training
 from reorient.runs.files import make_folder
 from reorient.runs.pool import Pool
@@ -75,6 +75,10 @@ class Train:
     """Weights to start from (.safetensors or .onnx)."""
     threads: int | None = None
     """Number of threads of torch in each process, by default its own choice."""
+
+    def __post_init__(self) -> None:
+        """Raises ReorientError for a number of threads below 1."""
+        check_range(self, "threads", low=1)
 
     def run(self) -> None:
         """Train, and print loss and validation error of each epoch."""

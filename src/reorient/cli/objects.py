@@ -10,7 +10,7 @@ from trimesh import Trimesh
 
 from reorient.cli.arguments import Positional
 from reorient.cli.progress import show_progress, table_console
-from reorient.errors import ReorientError
+from reorient.errors import ReorientError, check_range
 from reorient.runs.files import make_folder, replacing, write_table
 from reorient.runs.pool import Pool
 from reorient.world.objects import ObjectSet, ObjectSource, split
@@ -139,13 +139,16 @@ class Montage:
     size_px: int = 128
     """Width and height of each object."""
 
+    def __post_init__(self) -> None:
+        """Raises ReorientError for values out of range."""
+        check_range(self, "columns", low=1)
+        check_range(self, "size_px", low=8)
+
     def run(self) -> None:
         """Render and write."""
         from reorient.reporting.pictures import check_suffix, montage, shade_mesh
 
         check_suffix(self.out)
-        if self.columns < 1 or self.size_px < 8:
-            raise ReorientError(f"{self.columns} columns of {self.size_px} px: expected at least 1 of 8 px")
         objects = self.objects.open()
         meshes = [_loaded(objects, name) for name in objects.names]
         pictures = [shade_mesh(mesh, None, self.size_px) for mesh in meshes if mesh is not None]

@@ -24,9 +24,11 @@ class Reproduce:
     """
 
     name: Annotated[Positional[Name | None], Metavar("FIGURE")] = None
-    """One of object-sets, best-worst, sweeps, controller, non-symmetric and full, with --quick by default all."""
+    """One of object-sets, best-worst, sweeps, controller, non-symmetric and full. Required unless --quick, which then
+    takes all."""
     quick: bool = False
-    """Measure a tenth on other pairs, with a tenth of the epochs, and compare it with the rows in --out."""
+    """Measure a tenth of the pairs (other ones), train a tenth of the epochs, and compare with the full rows in
+    --out."""
     data: Path = Path("out/reproduce")
     """Folder for pairs, training runs, weights and quick runs, which are large and made again when missing."""
     out: Path = Path("results/reproduce")

@@ -9,15 +9,16 @@ import numpy as np
 
 from reorient import __version__
 from reorient.cli.arguments import Positional
-from reorient.cli.estimating import Frames, confidence_in_words
+from reorient.cli.estimating import GoalFrame, confidence_in_words
 from reorient.cli.stations import StationChoice
-from reorient.errors import ReorientError
+from reorient.errors import ReorientError, check_range
 from reorient.runs.files import make_folder
 
 if TYPE_CHECKING:
     from reorient.controller import Limits, OrientResult, Step, Strategy
 
 EXIT_CODES = {"converged": 0, "dry_run": 0, "interrupted": 130}  # of the other statuses: 1
+_OWNERS = {"eta": ("algorithm1",), "delta_deg": ("algorithm1", "direct")}  # options that not every strategy has
 
 
 @dataclass(frozen=True)
@@ -27,16 +28,27 @@ class StrategyChoice:
     strategy: str = "auto"
     """One of fusing, algorithm1, direct and auto, which is fusing for a calibrated estimator and else algorithm1."""
     max_images: int | None = None
-    """Largest number of images, by default the strategy's own."""
+    """Largest number of images, by default the strategy's own. Needs --strategy."""
     eta: float | None = None
     """Share of the estimated rotation that algorithm1 makes at once, by default 0.2."""
     delta_deg: float | None = None
-    """Estimated angle at which algorithm1 has converged, by default 0.5."""
+    """Estimated angle at which algorithm1 and direct have converged, by default 0.5."""
+
+    def __post_init__(self) -> None:
+        """Raises ReorientError for values out of range."""
+        check_range(self, "max_images", low=1)
+        check_range(self, "eta", high=1, above=True)
+        check_range(self, "delta_deg", high=180)
 
     def load(self) -> "Strategy | None":
         """The strategy; None leaves the choice to the loop. Raises ReorientError for a wrong name or setting."""
         from reorient.controller import load_strategy
+        from reorient.controller.strategies import STRATEGY_NAMES
 
+        for name, owners in _OWNERS.items():
+            if getattr(self, name) is not None and self.strategy in set(STRATEGY_NAMES) - set(owners):
+                flag = "--" + name.replace("_", "-")
+                raise ReorientError(f"{flag} is an option of {' and '.join(owners)}, not of {self.strategy}")
         delta_rad = None if self.delta_deg is None else float(np.radians(self.delta_deg))
         given = {"max_images": self.max_images, "eta": self.eta, "delta_rad": delta_rad}
         settings = {name: value for name, value in given.items() if value is not None}
@@ -45,7 +57,7 @@ class StrategyChoice:
         if not settings:
             return None
         if set(settings) == {"max_images"}:
-            raise ReorientError("--max-images is a setting of a strategy: expected --strategy with it")
+            raise ReorientError(f"--max-images {self.max_images}: expected --strategy with it")
         return load_strategy("algorithm1", **settings)
 
 
@@ -61,6 +73,10 @@ class LimitChoice:
     """Capture, estimate and print the first move, but move nothing."""
     confirm_first_move: bool = False
     """Ask at the terminal before the first move."""
+
+    def __post_init__(self) -> None:
+        """Raises ReorientError for values out of range."""
+        check_range(self, "max_step_deg", "max_rotation_deg", above=True)
 
     def limits(self, wait_s: float = 0.5) -> "Limits":
         """The limits of the loop."""
@@ -79,7 +95,7 @@ class LimitChoice:
 class Orient:
     """Rotate the object at a station until it matches the goal image.
 
-    The exit code is 0 where the loop converged, and 1 where it did not.
+    The exit code is 0 where the loop converged, also after --dry-run, and 1 where it did not converge.
 
     Examples:
         reorient capture goal.npz && reorient orient goal.npz --start-deg 30
@@ -88,10 +104,11 @@ class Orient:
 
     goal: Positional[Path]
     """Depth image of the object as it should be, as written by ``reorient capture``."""
-    frames: Frames = field(default_factory=Frames)
+    frames: GoalFrame = field(default_factory=GoalFrame)
     choice: StationChoice = field(default_factory=StationChoice)
     estimator: str = "rotation-search"
-    """One of rotation-search, fast, thorough, gicp, icp, swift and paper, an .onnx file, or your own module:Class."""
+    """One of default (rotation-search), rotation-search, fast, thorough, gicp, icp, paper and swift, an .onnx file,
+    or your own module:Class."""
     strategy_choice: StrategyChoice = field(default_factory=StrategyChoice)
     limit_choice: LimitChoice = field(default_factory=LimitChoice)
     record: Path | None = None
@@ -179,11 +196,11 @@ def _confirmed(R_step: np.ndarray) -> bool:
 
     rotvec = np.degrees(so3.log(R_step))
     vector = " ".join(f"{x:.1f}" for x in rotvec)
-    question = (
-        f"first move: {np.linalg.norm(rotvec):.1f} deg, rotation vector [{vector}] deg in camera axes. Move? [y/N] "
-    )
+    angle_deg = np.linalg.norm(rotvec)
+    print(f"first move: {angle_deg:.1f} deg (rotation vector [{vector}] deg, camera axes)", file=sys.stderr)
+    print("make this move? [y/N]", file=sys.stderr, flush=True)
     try:
-        return input(question).strip().lower() in ("y", "yes")
+        return input().strip().lower() in ("y", "yes")
     except EOFError:
         return False
 

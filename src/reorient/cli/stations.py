@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 
 from reorient.cli.arguments import Metavar, Positional
-from reorient.errors import ReorientError
+from reorient.errors import ReorientError, check_range
 
 if TYPE_CHECKING:
     from reorient.controller.station import Station
@@ -28,6 +28,11 @@ class StationChoice:
     noise_mm: float = 0.0
     """Standard deviation of the simulated depth noise."""
 
+    def __post_init__(self) -> None:
+        """Raises ReorientError for values out of range."""
+        check_range(self, "object_index", "pose_seed", "noise_mm")
+        check_range(self, "start_deg", high=180)
+
     def open(self) -> "Station":
         """The station, ready. Raises ReorientError where it cannot be made."""
         from reorient.stations import load_station
@@ -44,8 +49,6 @@ class StationChoice:
         from reorient.world.rendering import load_world
         from reorient.world.sensing import randomised
 
-        if not all(0 <= x < np.inf for x in (self.object_index, self.pose_seed, self.start_deg, self.noise_mm)):
-            raise ReorientError("expected a finite object index, seed, angle and noise, none below 0")
         objects = generated(self.object_index + 1)
         rng, sensor = np.random.default_rng(self.pose_seed), randomised(self.noise_mm / 1000)
         station = RenderedStation(objects.load(objects.names[-1]), load_world("benchmark"), sensor, rng)

@@ -283,8 +283,8 @@ def _plan(R_step: Float[np.ndarray, "3 3"] | None, end: _Ended | None) -> str:
     """What a dry run would do; empty where it would not move."""
     if end is not None or R_step is None:
         return end.reason if end is not None else ""
-    rotvec = " ".join(f"{x:.4f}" for x in so3.log(R_step))
-    return f"would rotate by {degrees(float(so3.angle(R_step)), 1)} (rotation vector [{rotvec}], camera axes)"
+    rotvec = " ".join(f"{x:.1f}" for x in np.degrees(so3.log(R_step)))
+    return f"would rotate by {degrees(float(so3.angle(R_step)), 1)} (rotation vector [{rotvec}] deg, camera axes)"
 
 
 def _in_words(error: Exception) -> str:

@@ -17,7 +17,7 @@ from numpy.random import Generator
 
 from reorient import so3
 from reorient.controller import OrientResult, Step, orient
-from reorient.errors import ReorientError, StationError
+from reorient.errors import ReorientError, StationError, check_angles, check_range
 from reorient.experiments.cached import cached_object
 from reorient.experiments.systems import load_system
 from reorient.imaging import DepthImage
@@ -46,7 +46,7 @@ class Experiment:
     systems: tuple[str, ...] = ("default/fusing", "gicp/direct")
     """Systems, each an estimator and a strategy: fusing, algorithm1 or direct (eta 1). At most 50 images."""
     ranges_deg: tuple[tuple[float, float], ...] = ((30, 30),)
-    """Ranges of the angle between start and goal."""
+    """Ranges of the angle between start and goal, in pairs: 0 30 30 60 is 0 to 30 and 30 to 60 degrees."""
     noise_mm: float = 0.5
     """Standard deviation of the depth noise."""
     slip_nm: float | None = None
@@ -54,7 +54,8 @@ class Experiment:
     segmentation: str = "shape"
     """Means to remove the gripper: shape (its known shape) or colour (as in the paper)."""
     gripper_hue_deg: tuple[float, float] | None = None
-    """Range of the gripper's hue. With one of saturation it replaces the colours learned from the empty gripper."""
+    """Range of the gripper's hue. With one of saturation it replaces the colours learned from the empty gripper,
+    with --segmentation colour and in the scores of the masks."""
     gripper_saturation: tuple[float, float] | None = None
     """Range of the gripper's saturation, between 0 and 1."""
     calibration: Path | None = None
@@ -68,13 +69,13 @@ class Experiment:
         """Raises ReorientError for what cannot be run."""
         for system in self.systems:
             load_system(system)
-        for low, high in self.ranges_deg:
-            if not 0 < low <= high <= 180:
-                raise ReorientError(f"range {low:g} to {high:g} degrees: expected 0 < low <= high <= 180")
-        if not (self.systems and self.ranges_deg and min(self.objects, self.trials) >= 1 and self.seed >= 0):
-            raise ReorientError("expected at least one system, range, object and trial, and a seed from 0")
-        if not (0 <= self.noise_mm < 100 and (self.slip_nm is None or self.slip_nm > 0)):
-            raise ReorientError(f"noise {self.noise_mm} mm, slip at {self.slip_nm} Nm: expected noise >= 0, slip > 0")
+        check_angles(self, "ranges_deg", above=True)
+        check_range(self, "objects", "trials", low=1)
+        check_range(self, "seed")
+        check_range(self, "noise_mm", high=100, below=True)
+        check_range(self, "slip_nm", above=True)
+        if not self.systems:
+            raise ReorientError("no systems: expected at least one")
 
 
 class Witness:

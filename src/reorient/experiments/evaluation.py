@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from reorient import so3
-from reorient.errors import ReorientError
+from reorient.errors import ReorientError, check_angles, check_range
 from reorient.estimators import load_estimator
 from reorient.estimators.base import Estimator, as_estimate
 from reorient.experiments.cached import cached_estimator, cached_object
@@ -70,7 +70,7 @@ class Evaluation:
     world: str = "benchmark"
     """Preset of camera, size and distance: benchmark or paper."""
     ranges_deg: tuple[tuple[float, float], ...] = ((0, 30), (30, 60))
-    """Ranges of the angle between start and goal."""
+    """Ranges of the angle between start and goal, in pairs: 0 30 30 60 is 0 to 30 and 30 to 60 degrees."""
     noise_mm: tuple[float, ...] = (0.0, 1.0)
     """Standard deviation of the sensor's depth noise, besides occluded pixels and dropouts."""
     pairs: int = 300
@@ -82,13 +82,11 @@ class Evaluation:
 
     def __post_init__(self) -> None:
         """Raises ReorientError for what cannot be measured."""
-        for low, high in self.ranges_deg:
-            if not 0 <= low <= high <= 180:
-                raise ReorientError(f"range {low:g} to {high:g} degrees: expected 0 <= low <= high <= 180")
-        if not all(0 <= noise < np.inf for noise in self.noise_mm):
-            raise ReorientError(f"noise {self.noise_mm} mm: expected finite numbers from 0")
-        if not (self.estimators and self.ranges_deg and self.noise_mm and self.pairs >= 1 and self.seed >= 0):
-            raise ReorientError("expected at least one estimator, range, noise and pair, and a seed from 0")
+        check_angles(self, "ranges_deg")
+        check_range(self, "noise_mm", "seed")
+        check_range(self, "pairs", low=1)
+        if not self.estimators:
+            raise ReorientError("no estimators: expected at least one")
 
 
 Measure = Callable[[Evaluation, Pair, SymmetryGroup, Float[np.ndarray, "3"] | None], list[dict[str, Any]]]

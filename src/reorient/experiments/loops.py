@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from reorient import so3
 from reorient.controller import Limits, Step, orient
-from reorient.errors import ReorientError
+from reorient.errors import OutOfRange, ReorientError, check_range
 from reorient.experiments.cached import cached_object
 from reorient.experiments.systems import load_system, names_of
 from reorient.runs.pool import Pool
@@ -58,7 +58,7 @@ class Loops:
     faults: float = 0.0
     """Probability of a fault at each capture (stale, empty or no frame) and each move (slip, refused or partial)."""
     slack_deg: float = 0.0
-    """Unknown error of each rotation of 30 degrees or more, in proportion less for smaller rotations."""
+    """Unreported execution error of each rotation of 30 degrees or more, in proportion less for smaller rotations."""
     symmetric: bool = False
     """Use objects with a symmetry (or flat, or with few faces) instead of all."""
     world: str = "benchmark"
@@ -73,12 +73,12 @@ class Loops:
             load_system(system)
         for start in self.start_deg:
             if start != "any" and not 0 < _number(start) <= 180:
-                raise ReorientError(f"start {start!r}: expected degrees from 0 to 180, or 'any'")
-        if not (all(0 <= x < np.inf for x in (*self.noise_mm, self.slack_deg)) and 0 <= self.faults <= 1):
-            raise ReorientError("expected finite noise and slack from 0, and a probability of faults in [0, 1]")
-        counts = (len(self.systems), len(self.start_deg), len(self.noise_mm), self.objects, self.trials)
-        if min(counts) < 1 or self.seed < 0:
-            raise ReorientError("expected at least one system, start, noise, object and trial, and a seed from 0")
+                raise OutOfRange("start_deg", self.start_deg, "degrees above 0, at most 180, or 'any'")
+        check_range(self, "noise_mm", "slack_deg", "seed")
+        check_range(self, "faults", high=1)
+        check_range(self, "objects", "trials", low=1)
+        if not (self.systems and self.start_deg):
+            raise ReorientError("expected at least one system and one start")
 
 
 @dataclass(frozen=True)

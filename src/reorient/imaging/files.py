@@ -132,6 +132,8 @@ def read_mask(path: str | Path) -> np.ndarray:
 
 def _existing(path: str | Path, what: str) -> Path:
     path = Path(path)
+    if path.is_dir():
+        raise ReorientError(f"{str(path)!r} is a folder: expected a file")
     if not path.is_file():
         raise ReorientError(f"no {what} at {str(path)!r}: expected an existing file")
     return path

@@ -34,23 +34,32 @@ def isolate(
 ) -> DepthImage:
     """The image with only the returns inside the mask, the box (left, top, width, height) and the depth range.
 
-    Raises ReorientError for a mask of another size, for an invalid box, if no return is left, and if the rest still
-    fills the image like a whole scene.
+    Raises ReorientError for a mask of another size, for an invalid box or depth range, if no return is left, and
+    if the rest still fills the image like a whole scene.
     """
     keep = image.valid
     if mask is not None:
         keep &= _inside_mask(mask, keep.shape)
     if box_px is not None:
         keep &= _inside_box(box_px, keep.shape)
-    if near_m is not None:
-        keep &= image.depth_m >= near_m
-    if far_m is not None:
-        keep &= image.depth_m <= far_m
+    if near_m is not None or far_m is not None:
+        keep &= _inside_range(image, 0.0 if near_m is None else near_m, np.inf if far_m is None else far_m)
     if not keep.any():
         raise ReorientError(
             "nothing is left of the image: expected returns inside the mask, the box and the depth range"
         )
     return require_isolated(replace(image, depth_m=np.where(keep, image.depth_m, np.float32(0))))
+
+
+def _inside_range(image: DepthImage, near_m: float, far_m: float) -> Bool[np.ndarray, "height width"]:
+    if not near_m < far_m:
+        raise ReorientError(f"depth range {near_m:g} to {far_m:g} m: expected near below far")
+    inside = np.asarray((image.depth_m >= near_m) & (image.depth_m <= far_m))
+    depths_m = image.depth_m[image.valid]
+    if depths_m.size and not (inside & image.valid).any():
+        between = f"between {near_m:g} and {far_m:g} m" if np.isfinite(far_m) else f"beyond {near_m:g} m"
+        raise ReorientError(f"no returns {between} (depths are {depths_m.min():.2f}-{depths_m.max():.2f} m)")
+    return inside
 
 
 def _inside_mask(mask: Shaped[np.ndarray, "..."], shape: tuple[int, ...]) -> Bool[np.ndarray, "height width"]:

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from reorient.errors import ReorientError, unknown_name
+from reorient.errors import check_range, unknown_name
 
 NetworkName = Literal["paper", "swift"]
 LossName = Literal["mean", "shapematch", "hybrid", "chord"]
@@ -51,16 +51,11 @@ class Training:
 
     def __post_init__(self) -> None:
         """Raises ReorientError for values outside their range."""
-        if min(self.epochs, self.batch, self.patience, self.validation_pairs) < 1 or self.seed < 0:
-            raise ReorientError("expected at least one epoch, pair a step, epoch of patience and validation pair")
-        if not (0 <= self.rotated <= 1 and 0 <= self.dropout < 1 and self.noise >= 0):
-            raise ReorientError(
-                f"rotated={self.rotated}, dropout={self.dropout}, noise={self.noise}: expected shares, and noise >= 0"
-            )
-        if not (0 < self.lr < 1 and self.weight_decay >= 0):
-            raise ReorientError(
-                f"lr={self.lr}, weight decay={self.weight_decay}: expected 0 < lr < 1 and no negative decay"
-            )
+        check_range(self, "epochs", "batch", "patience", "validation_pairs", low=1)
+        check_range(self, "seed", "noise", "weight_decay")
+        check_range(self, "rotated", high=1)
+        check_range(self, "dropout", high=1, below=True)
+        check_range(self, "lr", high=1, above=True, below=True)
 
 
 PRESETS = {

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy.random import Generator
 
-from reorient.errors import ReorientError, unknown_name
+from reorient.errors import ReorientError, check_range, unknown_name
 from reorient.estimators.search import EFFORTS, search
 from reorient.estimators.verifier import FEATURES, features
 from reorient.imaging import DepthImage
@@ -58,13 +58,9 @@ class VerifierData:
         load_world(self.world)
         if self.effort not in EFFORTS:
             raise unknown_name("effort", self.effort, list(EFFORTS))
-        if min(self.pairs, self.per_shard) < 1 or self.seed < 0:
-            raise ReorientError("expected at least one pair an object and object a file, and a seed from 0")
-        if not (0 <= self.most_noise_mm < np.inf and 0 <= self.most_wrong_focal < 1):
-            raise ReorientError(
-                f"noise up to {self.most_noise_mm} mm, focal length wrong by {self.most_wrong_focal}: expected finite "
-                "noise from 0 and a share below 1"
-            )
+        check_range(self, "pairs", "per_shard", low=1)
+        check_range(self, "seed", "most_noise_mm")
+        check_range(self, "most_wrong_focal", high=1, below=True)
 
 
 def make(config: VerifierData, out: Path, pool: Pool | None = None) -> Progress:

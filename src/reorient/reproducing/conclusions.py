@@ -41,5 +41,9 @@ def _listed(levels: Sequence[str], of: int) -> str:
 def _compared(rows: Sequence[Row], learned: str, geometric: str) -> tuple[float, float, float, float]:
     """The interval of the learned's share within 5 degrees less the geometric's, and both shares."""
     mine, other = ([row for row in rows if row["estimator"] == name] for name in (learned, geometric))
-    within, rival = ((numbers(chosen, "error_deg") < 5).astype(float) for chosen in (mine, other))
-    return *interval(within - rival, [row["object"] for row in mine]), float(within.mean()), float(rival.mean())
+    within, within_other = ((numbers(chosen, "error_deg") < 5).astype(float) for chosen in (mine, other))
+    return (
+        *interval(within - within_other, [row["object"] for row in mine]),
+        float(within.mean()),
+        float(within_other.mean()),
+    )

@@ -9,7 +9,7 @@ from importlib import import_module
 from threading import Thread
 from typing import Any, Literal, TypeVar
 
-from reorient.errors import ReorientError
+from reorient.errors import OutOfRange, ReorientError
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -32,7 +32,7 @@ class Pool:
     def __post_init__(self) -> None:
         """Raises ReorientError for a number of workers other than -1, 1, 2, ..."""
         if self.workers < 1 and self.workers != -1:
-            raise ReorientError(f"{self.workers} workers: expected at least 1, or -1 for one per core")
+            raise OutOfRange("workers", self.workers, "at least 1, or -1 for one per core")
 
     @property
     def count(self) -> int:

@@ -108,8 +108,11 @@ class ReplayedStation:
     def __init__(self, folder: str | Path) -> None:
         """Raises ReorientError for a folder without a record, or a broken one."""
         self._folder = Path(folder)
+        file = self._folder / "record.json"
+        if not file.is_file():
+            raise ReorientError(f"no record.json in {str(folder)!r}: expected a folder of `reorient orient --record`")
         try:
-            self.record = _present_form(json.loads((self._folder / "record.json").read_text()))
+            self.record = _present_form(json.loads(file.read_text()))
             self._acts = list(self.record["acts"])
             pivot = self.record["pivot_m"]
             self._pivot_m = None if pivot is None else np.array(pivot, float)
@@ -117,7 +120,7 @@ class ReplayedStation:
             self._answers = [(a["acts"], np.array(a["R_step"], float), bool(a["can"])) for a in answers or ()]
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise ReorientError(
-                f"no record in {str(folder)!r} ({error}): expected a folder of `reorient orient --record`"
+                f"cannot read {str(file)!r} ({error}): expected a folder of `reorient orient --record`"
             ) from error
         if answers is not None:
             self.reachable = self._reachable

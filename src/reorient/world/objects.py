@@ -11,7 +11,7 @@ from typing import Any
 
 import trimesh
 
-from reorient.errors import ReorientError, unknown_name
+from reorient.errors import ReorientError, check_range, unknown_name
 from reorient.world import shapes
 from reorient.world.meshes import load_mesh
 
@@ -128,6 +128,11 @@ class ObjectSource:
     object_seed: int = 0
     """Seed of the generator of objects."""
 
+    def __post_init__(self) -> None:
+        """Raises ReorientError for values out of range."""
+        check_range(self, "count", low=1)
+        check_range(self, "object_seed")
+
     @classmethod
     def from_json(cls, described: dict[str, Any]) -> "ObjectSource":
         """The source from its ``asdict`` in a JSON file."""
@@ -146,7 +151,9 @@ class ObjectSource:
             objects = generated(self.count, self.object_seed)
         if self.only is None:
             return objects
-        lines = self.only.read_text(errors="replace").splitlines() if self.only.is_file() else []
+        if not self.only.is_file():
+            raise ReorientError(f"no file {str(self.only)!r}: expected object names, one a line")
+        lines = self.only.read_text(errors="replace").splitlines()
         names = [line.strip() for line in lines if line.strip()]
         if not names:
             raise ReorientError(f"no names in {str(self.only)!r}: expected object names, one a line")

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from numpy.random import Generator
 
 from reorient import so3
-from reorient.errors import ReorientError
+from reorient.errors import ReorientError, check_range
 from reorient.imaging import DepthImage
 from reorient.world.objects import ObjectSource
 from reorient.world.rendering import Placement, Renderer, World, load_world
@@ -92,12 +92,10 @@ class PairSet:
     def __post_init__(self) -> None:
         """Raises ReorientError for an unknown world and for values outside their range."""
         load_world(self.world)
-        if not 0 <= self.low_deg <= self.high_deg <= 180:
-            raise ReorientError(
-                f"range {self.low_deg:g} to {self.high_deg:g} degrees: expected 0 <= low <= high <= 180"
-            )
-        if self.pairs_per_object < 1 or self.seed < 0 or not 0 <= self.noise_mm < np.inf:
-            raise ReorientError("expected at least one pair an object, and noise and a seed from 0")
+        check_range(self, "low_deg", high=180)
+        check_range(self, "high_deg", low=self.low_deg, high=180)
+        check_range(self, "pairs_per_object", low=1)
+        check_range(self, "noise_mm", "seed")
 
     @property
     def chunk(self) -> int:
