@@ -167,7 +167,7 @@ def test_millimetres_are_refused(tmp_path, image):
 
 @pytest.mark.parametrize(
     ("name", "message"),
-    [("nowhere.png", "no depth image at"), (".", "is a folder: expected a file"), ("depth.jpg", "expected one of .png")],
+    [("nowhere.png", "no depth image at"), (".", "is a folder: expected a file"), ("depth.jpg", "one of .png")],
 )
 def test_missing_and_unknown_files_are_refused(name, message, tmp_path, camera):
     (tmp_path / "depth.jpg").write_bytes(b"")
