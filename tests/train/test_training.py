@@ -193,7 +193,7 @@ def test_misfits_are_refused(trained, small_set, tmp_path):
         run(DEBUG, tmp_path / "nothing", tmp_path / "c")
     with pytest.raises(ReorientError, match=r"unknown training preset 'swfit': .* \(did you mean 'swift'\?\)"):
         load_preset("swfit")
-    with pytest.raises(ReorientError, match="expected 0 < lr < 1"):
+    with pytest.raises(ReorientError, match="expected a number above 0 and below 1"):
         Training(lr=-1)
 
 
