@@ -69,7 +69,7 @@ def test_the_same_seed_makes_the_same_stage():
         (["--ranges-deg", "0", "200"], "expected 0 < low <= high <= 180"),
         (["--gripper-saturation", "0.5", "20"], "expected degrees"),
         (["--segmentation", "color"], "did you mean 'colour'"),
-        (["--slip-nm", "-1"], "slip > 0"),
+        (["--slip-nm", "-1"], "--slip-nm -1: expected a number above 0"),
     ],
 )
 def test_bad_input_is_refused_in_one_line(tmp_path, capsys, arguments, message):
