@@ -98,7 +98,7 @@ def test_unknown_effort():
 
 
 def test_a_symmetric_object_has_alternatives_with_the_truth_among_them():
-    """A box of three different sides: half turns about its axes look alike."""
+    """A box of three different sides: rotations by 180 degrees about its axes look alike."""
     found = []
     for seed in range(6):
         pair = pair_of(trimesh.creation.box((1.0, 0.7, 0.45)), seed, 60)

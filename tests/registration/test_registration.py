@@ -64,7 +64,7 @@ def test_the_pivot_costs_nothing_that_leaves_it_in_place(mesh, rng):
 
 
 def test_first_translations(mesh, rng):
-    """About a known pivot; else what is seen stands where the goal stands, whatever the rotation."""
+    """About a known pivot; else the visible points take the place of the goal's, whatever the rotation."""
     pair, R = pair_of(mesh, 3, 120), so3.sample_uniform(rng, 5)
     known = build_problem(pair.current, pair.goal, pair.pivot_m)
     np.testing.assert_allclose(R @ pair.pivot_m + known.first_translations(R), np.broadcast_to(pair.pivot_m, (5, 3)))

@@ -34,7 +34,7 @@ class PointClass:
     share: str
     """Field of ``Evidence`` that counts it."""
     colour: tuple[int, int, int]
-    """From the palette of Okabe and Ito, which colour-blind people can tell apart."""
+    """From the palette of Okabe and Ito, which colour-blind people can distinguish."""
 
 
 CLASSES = (

@@ -75,7 +75,7 @@ class Full:
         return [Network(loss, epochs, self.name, pairs, self.recipe) for epochs in budgets for loss in LOSSES]
 
     def measure(self, setting: Setting) -> None:
-        """Train what is missing, measure on all test objects, then ShapeMatch and the networks' real parts."""
+        """Train the missing networks, measure on all test objects, then ShapeMatch and the networks' real parts."""
         folder = setting.folder(self.name)
         if not (folder / "rows.csv.gz").is_file():
             trained = self.networks(setting)

@@ -69,7 +69,7 @@ class NonSymmetric:
         ]
 
     def measure(self, setting: Setting) -> None:
-        """Train what is missing, then measure each split on its test objects."""
+        """Train the missing networks, then measure each split on its test objects."""
         folder = setting.folder(self.name)
         for title, test_objects in self.splits.items():
             rows = folder / title.replace(", ", "-").replace(" ", "-")
