@@ -48,7 +48,7 @@ class Progress:
 
 
 def generate(config: PairSet, path: str | Path, pool: Pool | None = None) -> Iterator[Progress]:
-    """Draw the set into ``path`` (a folder or an fsspec URL), yielding after every shard; a later run adds the missing shards.
+    """Draw the set into ``path`` (a folder or an fsspec URL), yielding after every shard; a rerun adds missing ones.
 
     Raises ReorientError where ``path`` holds another set or something else.
     """
