@@ -154,7 +154,7 @@ def test_bad_images(pair, capsys, tmp_path, unchecked):
         return refused(capsys, "estimate", tmp_path / name, good, "--camera", folder / "camera.json", *more)
 
     assert "looks like millimetres" in text("mm.npy", depth_m * 1000)
-    assert "NaN or infinite pixels: expected 0" in text("nan.npy", np.where(depth_m > 0, depth_m, np.nan))
+    assert "0 everywhere" in text("nan.npy", np.full_like(depth_m, np.nan))
     assert "expected no negative value" in text("negative.npy", depth_m - 0.3)
     assert "0 everywhere" in text("zero.npy", 0 * depth_m)
     assert "dtype uint16: expected floating-point metres" in text("dtype.npy", (depth_m * 1000).astype(np.uint16))

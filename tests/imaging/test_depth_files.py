@@ -1,6 +1,7 @@
 """Depth images and intrinsics go to disk and come back; what cannot be read is said in one line."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -46,6 +47,16 @@ def test_npy_needs_the_camera_and_returns_the_depth(tmp_path, image):
     write_depth(path, image)
     assert np.array_equal(read_depth(path, image.camera).depth_m, image.depth_m)
     assert "missing intrinsics for" in refusal(read_depth, path)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".npz", ".npy", ".tif"])
+def test_unknown_pixels_are_read_back(suffix, tmp_path, image):
+    unknown = np.zeros(image.depth_m.shape, bool)
+    unknown[20:30, 40:60] = True
+    write_depth(tmp_path / f"depth{suffix}", replace(image, unknown=unknown))
+    back = read_depth(tmp_path / f"depth{suffix}", image.camera)
+    assert np.array_equal(back.unknown, unknown)
+    assert np.allclose(back.depth_m, np.where(unknown, 0, image.depth_m), atol=0.0006)
 
 
 @pytest.mark.parametrize("scale_m", [0.001, 0.0001, 2 / 65535])

@@ -18,6 +18,7 @@ from reorient.runs.files import replacing
 
 SCALE_M = 0.001  # what RealSense and Open3D write into 16-bit files
 SUFFIXES = (".png", ".npy", ".npz", ".tif", ".tiff")
+NO_RETURN = 65535  # in 16-bit files: unknown
 _TIFF_DESCRIPTION = 270
 
 
@@ -78,13 +79,15 @@ def _scaled(units: np.ndarray, camera: Camera, stated: dict[str, Any], scale_m: 
     if scale_m is None:
         scale_m = stated.get("scale_m")
     depth = units if scale_m is None else units * _check_scale(scale_m)
-    return DepthImage(depth, camera, stated.get("stamp_s"))
+    unknown = (units == NO_RETURN) & (units.dtype == np.uint16)
+    return DepthImage(depth, camera, stated.get("stamp_s"), unknown)
 
 
 def write_depth(path: str | Path, image: DepthImage, scale_m: float = SCALE_M) -> None:
     """Write .png (16-bit, rounded to ``scale_m``), .tif(f) (float32), .npy or .npz; all but .npy contain the camera.
 
-    Raises ReorientError for another suffix, for a scale not above 0 and for depth above 65535 units.
+    Unknown pixels are 65535 in .png and NaN elsewhere. Raises ReorientError for another suffix, for a scale not above
+    0 and for depth above 65534 units.
     """
     path = Path(path)
     _check_scale(scale_m)
@@ -94,26 +97,28 @@ def write_depth(path: str | Path, image: DepthImage, scale_m: float = SCALE_M) -
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise ReorientError(f"cannot write depth as {path.name!r}: expected one of {', '.join(SUFFIXES)}")
+    depth_m = np.where(image.unknown, np.float32(np.nan), image.depth_m)
     with replacing(path) as temporary:
         if suffix == ".png":
             units = np.rint(image.depth_m.astype(np.float64) / scale_m)
-            if units.max() > 65535:
+            if units.max() >= NO_RETURN:
                 raise ReorientError(
                     f"depth of {image.depth_m.max():.2f} m does not fit 16 bits of {scale_m} m: expected a larger scale"
                 )
+            units[image.unknown] = NO_RETURN
             text = PngImagePlugin.PngInfo()
             text.add_text("reorient", json.dumps(stated | {"scale_m": scale_m}))
             Image.fromarray(units.astype(np.uint16)).save(temporary, pnginfo=text)
         elif suffix in (".tif", ".tiff"):
             tags = TiffImagePlugin.ImageFileDirectory_v2()
             tags[_TIFF_DESCRIPTION] = json.dumps(stated)
-            Image.fromarray(image.depth_m).save(temporary, tiffinfo=tags)
+            Image.fromarray(depth_m).save(temporary, tiffinfo=tags)
         else:
             with temporary.open("wb") as file:  # given a name, numpy appends ".npz" to ".NPZ"
                 if suffix == ".npz":
-                    np.savez_compressed(file, depth_m=image.depth_m, stated=json.dumps(stated))
+                    np.savez_compressed(file, depth_m=depth_m, stated=json.dumps(stated))
                 else:
-                    np.save(file, image.depth_m)
+                    np.save(file, depth_m)
 
 
 def read_mask(path: str | Path) -> np.ndarray:

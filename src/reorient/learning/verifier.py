@@ -140,7 +140,7 @@ def _with_wrong_focal(rng: Generator, pair: Pair, most: float) -> tuple[DepthIma
     factor = 1 + rng.uniform(-most, most)
     camera = pair.current.camera
     wrong = replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
-    return DepthImage(pair.current.depth_m, wrong), DepthImage(pair.goal.depth_m, wrong)
+    return replace(pair.current, camera=wrong), replace(pair.goal, camera=wrong)
 
 
 @dataclass(frozen=True, eq=False)

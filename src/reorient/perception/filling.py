@@ -23,7 +23,8 @@ def filled_by_colour(frame: Frame, calibration: Calibration, mask: Mask) -> Mask
     beside_m, distance_px = beside(frame, mask)
     missing = ~frame.depth.valid & (distance_px <= _NEARBY_M * _px_per_m(frame, mask))
     assumed_m = np.where(missing, beside_m, frame.depth.depth_m)
-    rgb, known = align(replace(frame, depth=replace(frame.depth, depth_m=assumed_m)), calibration)
+    assumed = replace(frame.depth, depth_m=assumed_m, unknown=np.zeros_like(missing))
+    rgb, known = align(replace(frame, depth=assumed), calibration)
     others = known & frame.depth.valid & ~mask
     own = ColourTable.learned(rgb[mask & known], rgb[others]).contains(rgb)
     found = missing & np.where(known, own, filled_gaps(frame, mask))

@@ -104,7 +104,7 @@ def see(renderer: Renderer, condition: Condition, rng: np.random.Generator) -> P
         current = _behind_band(current, condition.occluded, rng)
     wrong = 1 + condition.focal_error * rng.choice([-1, 1])
     stated = replace(camera, fx=camera.fx * wrong, fy=camera.fy * wrong)
-    return replace(pair, current=DepthImage(current.depth_m, stated), goal=DepthImage(goal.depth_m, stated))
+    return replace(pair, current=replace(current, camera=stated), goal=replace(goal, camera=stated))
 
 
 def _sense(*what: Any) -> DepthImage:
@@ -125,4 +125,4 @@ def _behind_band(image: DepthImage, occluded: float, rng: np.random.Generator) -
     behind = (across >= low) & (across <= high)
     depth_m = image.depth_m.copy()
     depth_m[rows[behind], columns[behind]] = 0
-    return DepthImage(depth_m, image.camera)
+    return replace(image, depth_m=depth_m)
