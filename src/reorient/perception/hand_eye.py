@@ -135,7 +135,7 @@ def _refined(motions: Sequence[Motion], start: Transform) -> Transform:
     B = np.stack([motion.R_after_before for motion in motions])
     before = np.stack([motion.before_m for motion in motions])
     after = np.stack([motion.after_m for motion in motions])
-    white = np.stack([_whitening(motion.covariance_rad2) for motion in motions])
+    white = np.stack([whitening(motion.covariance_rad2, FLOOR_RAD) for motion in motions])
     center_m = before.mean(axis=0)  # the rotation is about the object, so that it is not coupled to the translation
 
     def moved(x: Float[np.ndarray, "6"]) -> Transform:
@@ -152,9 +152,10 @@ def _refined(motions: Sequence[Motion], start: Transform) -> Transform:
     return moved(least_squares(residuals, np.zeros(6), loss="soft_l1", f_scale=2.0, x_scale="jac").x)
 
 
-def _whitening(covariance_rad2: Float[np.ndarray, "3 3"] | None) -> Float[np.ndarray, "3 3"]:
+def whitening(covariance_rad2: Float[np.ndarray, "3 3"] | None, floor_rad: float) -> Float[np.ndarray, "3 3"]:
+    """From a rotation residual to one of unit variance; ``floor_rad``: deviation added to that of the estimate."""
     known = np.zeros((3, 3)) if covariance_rad2 is None else covariance_rad2
-    values, vectors = np.linalg.eigh(known + FLOOR_RAD**2 * np.eye(3))
+    values, vectors = np.linalg.eigh(known + floor_rad**2 * np.eye(3))
     return np.asarray((vectors / np.sqrt(values)) @ vectors.T)
 
 
