@@ -1,4 +1,4 @@
-"""Calibration with the held object: the arm rotates it by known rotations, the camera sees them, A X = X B is solved."""
+"""Calibration with the held object: the arm rotates it by known rotations, an estimator measures them in the images."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

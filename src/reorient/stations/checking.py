@@ -11,9 +11,9 @@ from reorient import se3, so3
 from reorient.errors import ReorientError, StationError
 from reorient.estimators import load_estimator
 from reorient.estimators.base import Estimator
+from reorient.imaging import DepthImage
 from reorient.perception.hand_eye import Motion, whitening
 from reorient.perception.robot_calibration import RobotCalibration
-from reorient.se3 import Transform
 from reorient.stations.calibrating import View, as_motion
 from reorient.stations.drivers import ArmDriver, CameraDriver
 from reorient.stations.guarded import FreshFrames, GuardedArm, Isolate, about
@@ -116,7 +116,7 @@ def observe(frames: FreshFrames, arm: GuardedArm, calibration: RobotCalibration)
     return views
 
 
-def _isolated(frames: FreshFrames) -> "object":
+def _isolated(frames: FreshFrames) -> DepthImage:
     try:
         return frames.capture()
     except StationError:
@@ -181,7 +181,7 @@ class _Evidence:
         rotation, displacement = self.residuals(cell)
         white = np.stack([whitening(motion.covariance_rad2, _ROTATION_RAD) for motion in self.motions])
         terms = (np.einsum("nij,nj->ni", white, rotation), displacement / _POSITION_M)
-        return np.concatenate([np.linalg.norm(each, axis=1) for each in terms]) / np.sqrt(3)
+        return np.asarray(np.concatenate([np.linalg.norm(each, axis=1) for each in terms]) / np.sqrt(3))
 
     def cost(self, cell: Cell) -> float:
         """Mean squared residual in standard deviations, each bounded, with that of the object's place."""

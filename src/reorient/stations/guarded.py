@@ -1,4 +1,4 @@
-"""Camera and arm drivers with the checks that every verb needs: limits before a move, its end after it, fresh frames."""
+"""Camera and arm drivers with the checks that all verbs need: limits before a move, its end after it, fresh frames."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -105,7 +105,8 @@ class GuardedArm:
         try:
             returned = checked_pose(self._arm.move_to(T_base_tool), "move_to()")
         except BaseException as error:  # Ctrl-C too: the arm must not go on
-            halt = self._halt(f"the move failed: {type(error).__name__}: {error}")
+            words = str(error) if isinstance(error, ReorientError) else f"{type(error).__name__}: {error}"
+            halt = self._halt(f"the move failed: {words}")
             if isinstance(error, Exception):
                 raise halt from error
             raise
@@ -197,7 +198,7 @@ class FreshFrames:
         )
 
     def capture(self) -> DepthImage:
-        """The next fresh frame, isolated. Raises StationError as ``whole`` does, ReorientError where nothing is left."""
+        """The next fresh frame, isolated. Raises StationError as ``whole``, and ReorientError where nothing is left."""
         image = self.whole()
         return image if self._isolate is None else self._isolate(image)
 

@@ -5,6 +5,7 @@ With the right correction, the motions that the arm states predict those that th
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import permutations, product
 
 import numpy as np
@@ -72,12 +73,12 @@ def _about_poses(cell: Cell) -> Iterator[Mistake]:
         return replace(cell, poses=tuple(se3.transform(R_of(T), T[:3, 3]) for T in cell.poses))
 
     first = cell.poses[0][:3, :3]
-    reverse = "wrong sign: the object rotated about -{0} when +{0} was commanded".format("x, -y, -z")
+    message = "wrong sign: the object rotates the other way round than the arm states (conjugate quaternion?)"
     for R_of in (
         lambda T: (T[:3, :3] @ first.T).T @ first,
         lambda T: T[:3, :3].T,
     ):
-        yield Mistake("sign", f"{reverse}: is the arm's rotation inverted (conjugate quaternion)?", rotated(R_of))
+        yield Mistake("sign", message, rotated(R_of))
     for factor, words in ((_PER_RADIAN, "larger"), (1 / _PER_RADIAN, "smaller")):
         message = f"degrees for radians: the object rotates by angles 57 times {words} than the arm states"
         absolute, relative = _scaled(factor), _scaled(factor, first)
@@ -87,7 +88,7 @@ def _about_poses(cell: Cell) -> Iterator[Mistake]:
         message = "quaternion order: the arm's quaternion is read as {} and is {}".format(
             *(("wxyz", "xyzw") if order[0] == 3 else ("xyzw", "wxyz"))
         )
-        yield Mistake("quaternion order", message, rotated(lambda T, order=order: _reordered(T, order)))
+        yield Mistake("quaternion order", message, rotated(partial(_reordered, order=order)))
     for factor, words in ((1000.0, "m for mm"), (0.001, "mm for m")):
         poses = tuple(se3.transform(T[:3, :3], T[:3, 3] * factor) for T in cell.poses)
         message = f"{words}: positions of the arm are {'smaller' if factor > 1 else 'larger'} by 1000 than they state"

@@ -1,7 +1,7 @@
 """A station of a depth camera, a robot arm and the calibration of the two: the camera is fixed, the tool holds the
 object."""
 
-from dataclasses import is_dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ from jaxtyping import Float
 from reorient import so3
 from reorient.controller.station import missing_members
 from reorient.errors import ReorientError, StationError
-from reorient.imaging import DepthImage
+from reorient.imaging import DepthImage, Isolation
 from reorient.perception.robot_calibration import RobotCalibration
 from reorient.se3 import Transform
 from reorient.stations.drivers import ArmDriver, CameraDriver
@@ -33,8 +33,8 @@ class RobotStation:
         isolate: Isolate | None = None,
         limits: RobotLimits | None = None,
     ) -> None:
-        """``isolate``: takes the whole frame to the object; an ``Isolation`` with ``radius_m`` and without ``around_m``
-        is centred on the pivot. ``limits`` None: the defaults, without a workspace box.
+        """``isolate``: takes the whole frame to the object; the sphere of an ``Isolation`` is centred on the pivot.
+        ``limits`` None: the defaults, without a workspace box.
 
         Raises ReorientError for a driver that lacks a method, and for a calibration of another kind.
         """
@@ -106,8 +106,8 @@ class RobotStation:
 
 
 def around_pivot(isolate: Isolate, pivot_m: Float[np.ndarray, "3"]) -> Isolate:
-    """An ``Isolation`` with a radius and without a centre, centred on the pivot; any other callable unchanged."""
-    if is_dataclass(isolate) and getattr(isolate, "radius_m", None) is not None:
-        if getattr(isolate, "around_m", None) is None:
-            return replace(isolate, around_m=tuple(pivot_m.tolist()))  # type: ignore[type-var, return-value]
+    """An ``Isolation`` with a sphere, centred on the pivot; any other callable unchanged."""
+    if isinstance(isolate, Isolation) and isolate.radius_m is not None:
+        x, y, z = pivot_m.tolist()
+        return replace(isolate, around_m=(x, y, z))
     return isolate

@@ -51,7 +51,7 @@ class SimulatedCell:
         self.renderer = Renderer(mesh)
         self.scale_m = radius_m / bounding_radius(self.renderer.mesh)
         self.camera = CAMERA
-        R_tool, R_object, R_roll = so3.sample_uniform(rng, 3)
+        R_tool, R_object = so3.sample_uniform(rng, 2)
         self.T_tool_object = se3.transform(R_object, rng.uniform(-1, 1, 3) * _LARGEST_OFFSET_M)
         self.T_base_tool = se3.transform(R_tool, _HOME_M - R_tool @ self.T_tool_object[:3, 3])
         self.T_base_camera = _mounting(rng)
