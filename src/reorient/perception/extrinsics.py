@@ -75,11 +75,10 @@ def _yaml(text: str) -> dict[str, Any]:
     for match, after in zip(matches, [*(m.start() for m in matches[1:]), len(text)], strict=True):
         indent, key, value = len(match[1]), match[2], match[3]
         open_keys = [each for each in open_keys if each[0] < indent] + [(indent, key)]
-        rest = value + text[match.end() : after]
         name = ".".join(each for _, each in open_keys)
-        if value and not re.search(r"[\[\n]", rest.strip()):
+        if value and not value.startswith("["):
             found[name] = value
-        elif numbers := _numbers(rest):
+        elif numbers := _numbers(value + text[match.end() : after]):
             found[name] = numbers
     return found
 

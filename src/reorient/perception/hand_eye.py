@@ -23,7 +23,7 @@ FEWEST = 4  # motions that agree; three parameters, and one to spare
 FLOOR_RAD = float(np.radians(0.15))  # added to the deviation of an estimate: systematic errors of the depth
 POSITION_M = 0.001  # deviation of the estimated displacement of a point of the object
 _PARALLEL = float(np.sin(np.radians(15)))  # two axes this near to each other determine no rotation
-_LEAST_SPREAD_RAD = float(np.radians(8))  # RMS of the rotation vectors along their second principal direction
+LEAST_SPREAD_RAD = float(np.radians(8))  # RMS of the rotation vectors along their second principal direction
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ class HandEye:
 
 def solve_hand_eye(motions: Sequence[Motion]) -> HandEye:
     """T_base_camera from motions. Raises ReorientError where their axes are too similar, and where too few agree."""
-    if (spread_rad := axis_spread_rad(motions)) < _LEAST_SPREAD_RAD:
+    if (spread_rad := axis_spread_rad(motions)) < LEAST_SPREAD_RAD:
         raise ReorientError(
             f"degenerate motions: the rotations differ from one axis by {np.degrees(spread_rad):.0f} deg (RMS), "
             "expected rotations about two axes at least; give the arm room to rotate (limits, start pose)"
@@ -69,7 +69,7 @@ def solve_hand_eye(motions: Sequence[Motion]) -> HandEye:
     R = _consensus(motions)
     agree = _residuals_rad(motions, R) < CONSENSUS_RAD
     chosen = [motion for motion, agrees in zip(motions, agree, strict=True) if agrees]
-    if len(chosen) < FEWEST or axis_spread_rad(chosen) < _LEAST_SPREAD_RAD:
+    if len(chosen) < FEWEST or axis_spread_rad(chosen) < LEAST_SPREAD_RAD:
         raise ReorientError(
             f"only {len(chosen)} of {len(motions)} estimated motions agree with those of the arm: expected at least "
             f"{FEWEST} about different axes"
@@ -166,7 +166,7 @@ def _jackknife(motions: Sequence[Motion], T: Transform) -> tuple[float, float]:
     rotations, points = [], []
     for number in numbers:
         rest = [motion for motion in motions if number not in motion.images]
-        if len(rest) < FEWEST or axis_spread_rad(rest) < _LEAST_SPREAD_RAD:
+        if len(rest) < FEWEST or axis_spread_rad(rest) < LEAST_SPREAD_RAD:
             return float("inf"), float("inf")
         without = _refined(rest, T)
         rotations.append(so3.log(without[:3, :3] @ T[:3, :3].T))

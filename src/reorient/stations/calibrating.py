@@ -12,7 +12,7 @@ from reorient.errors import ReorientError
 from reorient.estimators import load_estimator
 from reorient.estimators.base import Estimator, RotationEstimate
 from reorient.imaging import DepthImage
-from reorient.perception.hand_eye import HandEye, Motion, axis_spread_rad, solve_hand_eye
+from reorient.perception.hand_eye import LEAST_SPREAD_RAD, HandEye, Motion, axis_spread_rad, solve_hand_eye
 from reorient.perception.robot_calibration import RobotCalibration
 from reorient.se3 import Transform
 from reorient.stations.drivers import ArmDriver, CameraDriver
@@ -25,7 +25,8 @@ _SHARES = (1.0, 0.7, 0.45)  # of the angle, where a pose is not reachable
 _FEWEST_IMAGES = 5
 _CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / np.sqrt(3)
 _STILL = 0.35  # share of the arm's angle, below which the object did not rotate with the tool
-_AGREEING = 0.5  # least share of the motions that must agree
+_AGREEING = 0.5  # least share of the motions that must agree; 20 symmetric objects: 13 above it, all right by 0.4 deg
+_LARGEST_SE_RAD = float(np.radians(1.5))  # largest standard error of a result. Not tuned
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,13 +147,19 @@ def _solved(motions: Sequence[Motion]) -> HandEye:
         share = float(solved.agree.mean())
         reason = f"{share:.0%} of the estimated rotations agree with those of the arm"
     except ReorientError as error:
-        if axis_spread_rad(motions) < np.radians(10):
+        if axis_spread_rad(motions) < LEAST_SPREAD_RAD:
             raise
         solved, share, reason = None, 0.0, str(error)
     if solved is None or share < _AGREEING:
         raise ReorientError(
-            f"the rotation of this object cannot be estimated ({reason}): it is probably symmetric; calibrate with a "
-            "second object without symmetry"
+            f"the rotation of this object cannot be estimated ({reason}): the object is probably symmetric, calibrate "
+            "with a second object without symmetry; or the isolation keeps more than the object"
+        )
+    if solved.rotation_se_rad > _LARGEST_SE_RAD:
+        raise ReorientError(
+            f"the standard error of the camera's rotation is {np.degrees(solved.rotation_se_rad):.1f} deg, expected at "
+            f"most {np.degrees(_LARGEST_SE_RAD):.0f}: calibrate with a second object that has more shape, or with more "
+            "room to rotate"
         )
     return solved
 

@@ -210,7 +210,7 @@ class FreshFrames:
 
     def clock_s(self) -> float | None:
         """The clock of the stamps: the driver's, or else inferred from the frames with the smallest delay so far."""
-        own_s = clock_of(self._camera)  # type: ignore[arg-type]
+        own_s = clock_of(self._camera)
         if own_s is not None:
             return own_s
         return time.monotonic() + self._ahead_s if np.isfinite(self._ahead_s) else None
