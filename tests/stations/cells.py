@@ -1,8 +1,11 @@
 """A small simulated cell for tests: the camera's frame is coarse, the object a corner of three arms."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import trimesh
 
+from reorient import se3, so3
 from reorient.imaging import Camera
 from reorient.perception.robot_calibration import RobotCalibration
 from reorient.stations.guarded import GuardedArm, RobotLimits
@@ -30,3 +33,29 @@ def true_calibration(cell: SimulatedCell) -> RobotCalibration:
 
 def drivers(cell: SimulatedCell, limits: RobotLimits = AT_ONCE) -> tuple[SimulatedCamera, GuardedArm]:
     return SimulatedCamera(cell), GuardedArm(SimulatedArm(cell), limits)
+
+
+class KnowingEstimator:
+    """An estimator that knows the cell's true pose at each frame, by the frame's stamp; ``noise_rad``: its error."""
+
+    def __init__(self, cell: SimulatedCell, noise_rad: float = 0.0) -> None:
+        self.noise_rad, self.rng, self.poses = noise_rad, np.random.default_rng(1), {}
+        frame = cell.frame
+
+        def recorded():
+            T = cell.T_camera_object
+            image = frame()
+            self.poses[image.stamp_s] = T
+            return image
+
+        cell.frame = recorded
+
+    def estimate(self, current, goal, pivot_m=None, history=()):
+        T = self.motion(current, goal)
+        error = so3.exp(self.rng.normal(0, self.noise_rad, 3)) if self.noise_rad else np.eye(3)
+        center_m = current.points().mean(axis=0)
+        R = error @ T[:3, :3]
+        return SimpleNamespace(R_goal_current=R, t_goal_current_m=se3.apply(T, center_m) - R @ center_m)
+
+    def motion(self, current, goal):
+        return self.poses[goal.stamp_s] @ se3.inverse(self.poses[current.stamp_s])

@@ -14,7 +14,7 @@ from reorient.estimators.base import Estimator
 from reorient.imaging import DepthImage
 from reorient.perception.hand_eye import Motion, whitening
 from reorient.perception.robot_calibration import RobotCalibration
-from reorient.stations.calibrating import View, as_motion
+from reorient.stations.calibrating import View, motion_between
 from reorient.stations.drivers import ArmDriver, CameraDriver
 from reorient.stations.guarded import FreshFrames, GuardedArm, Isolate, about
 from reorient.stations.mistakes import AXES, Cell, Mistake, mistakes, predicted
@@ -127,11 +127,8 @@ def _isolated(frames: FreshFrames) -> DepthImage:
 
 def diagnose(views: Sequence[View], calibration: RobotCalibration, estimator: Estimator) -> Check:
     """Which cell explains the images: the stated one, or one without a known mistake."""
-    motions = []
     pairs = [(0, j) for j in range(1, len(views))] + [(j, j + 1) for j in range(1, len(views) - 1)]
-    for i, j in pairs:
-        T = views[j].T_base_tool @ se3.inverse(views[i].T_base_tool)
-        motions.append(as_motion(T, estimator.estimate(views[i].image, views[j].image), views[i].image, (i, j)))
+    motions = [motion_between(views, i, j, estimator) for i, j in pairs]
     evidence = _Evidence(motions, calibration.p_tool_object_m, _center_m(views[0]))
     stated = Cell(calibration.T_base_camera, tuple(view.T_base_tool for view in views), np.eye(3))
     rotation_deg, position_m = evidence.errors(stated)
