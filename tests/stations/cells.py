@@ -1,17 +1,18 @@
 """A small simulated cell for tests: the camera's frame is coarse, the object a corner of three arms."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import trimesh
 
 from reorient import se3, so3
+from reorient.estimators.base import RotationEstimate
 from reorient.imaging import Camera
 from reorient.perception.robot_calibration import RobotCalibration
+from reorient.registration import Evidence
 from reorient.stations.guarded import GuardedArm, RobotLimits
 from reorient.stations.simulated import SimulatedArm, SimulatedCamera, SimulatedCell
 from reorient.world.sensing import Sensor
 
+EVIDENCE = Evidence(1.0, 0.0, 0.0, 0.0, 0.0)
 AT_ONCE = RobotLimits(settle_s=0.0)
 
 
@@ -55,7 +56,7 @@ class KnowingEstimator:
         error = so3.exp(self.rng.normal(0, self.noise_rad, 3)) if self.noise_rad else np.eye(3)
         center_m = current.points().mean(axis=0)
         R = error @ T[:3, :3]
-        return SimpleNamespace(R_goal_current=R, t_goal_current_m=se3.apply(T, center_m) - R @ center_m)
+        return RotationEstimate(R, se3.apply(T, center_m) - R @ center_m, EVIDENCE)
 
     def motion(self, current, goal):
         return self.poses[goal.stamp_s] @ se3.inverse(self.poses[current.stamp_s])

@@ -129,7 +129,7 @@ def diagnose(views: Sequence[View], calibration: RobotCalibration, estimator: Es
     """Which cell explains the images: the stated one, or one without a known mistake."""
     pairs = [(0, j) for j in range(1, len(views))] + [(j, j + 1) for j in range(1, len(views) - 1)]
     motions = [motion_between(views, i, j, estimator) for i, j in pairs]
-    evidence = _Evidence(motions, calibration.p_tool_object_m, _center_m(views[0]))
+    evidence = _Evidence.of(motions, calibration.p_tool_object_m, _center_m(views[0]))
     stated = Cell(calibration.T_base_camera, tuple(view.T_base_tool for view in views), np.eye(3))
     rotation_deg, position_m = evidence.errors(stated)
     terms = np.sort(evidence.terms(stated))
@@ -157,16 +157,40 @@ def _penalty(mistake: Mistake) -> float:
 class _Evidence:
     """The motions by the camera, and the object's place."""
 
-    motions: Sequence[Motion]
+    images: tuple[tuple[int, int], ...]
+    """Of each motion."""
+    R: Float[np.ndarray, "n 3 3"]
+    """Each motion's rotation."""
+    white: Float[np.ndarray, "n 3 3"]
+    """From its residual to one of unit variance."""
+    before_m: Float[np.ndarray, "n 3"]
+    """A point before each motion."""
+    after_m: Float[np.ndarray, "n 3"]
+    """The same after it."""
     p_tool_object_m: Float[np.ndarray, "3"]
+    """The calibrated place of the object, tool axes."""
     center_m: Float[np.ndarray, "3"]
+    """The place of the object in the first image, camera axes."""
+
+    @classmethod
+    def of(
+        cls, motions: Sequence[Motion], p_tool_object_m: Float[np.ndarray, "3"], center_m: Float[np.ndarray, "3"]
+    ) -> "_Evidence":
+        """That of motions."""
+        return cls(
+            tuple(motion.images for motion in motions),
+            np.stack([motion.R_after_before for motion in motions]),
+            np.stack([whitening(motion.covariance_rad2, _ROTATION_RAD) for motion in motions]),
+            np.stack([motion.before_m for motion in motions]),
+            np.stack([motion.after_m for motion in motions]),
+            p_tool_object_m,
+            center_m,
+        )
 
     def residuals(self, cell: Cell) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
         """Rotation (rad) and displacement (m) by the camera beyond the predicted ones."""
-        before = np.stack([motion.before_m for motion in self.motions])
-        R, after = predicted(cell, [motion.images for motion in self.motions], before)
-        seen = np.stack([motion.R_after_before for motion in self.motions])
-        return so3.log(seen @ np.swapaxes(R, 1, 2)), np.stack([motion.after_m for motion in self.motions]) - after
+        R, after_m = predicted(cell, self.images, self.before_m)
+        return so3.log(self.R @ np.swapaxes(R, 1, 2)), self.after_m - after_m
 
     def place_m(self, cell: Cell) -> Float[np.ndarray, "3"]:
         """The object's place beyond the calibrated one, measured camera coordinates."""
@@ -176,8 +200,7 @@ class _Evidence:
     def terms(self, cell: Cell) -> Float[np.ndarray, " m"]:
         """The residuals, in standard deviations per axis."""
         rotation, displacement = self.residuals(cell)
-        white = np.stack([whitening(motion.covariance_rad2, _ROTATION_RAD) for motion in self.motions])
-        terms = (np.einsum("nij,nj->ni", white, rotation), displacement / _POSITION_M)
+        terms = (np.einsum("nij,nj->ni", self.white, rotation), displacement / _POSITION_M)
         return np.asarray(np.concatenate([np.linalg.norm(each, axis=1) for each in terms]) / np.sqrt(3))
 
     def cost(self, cell: Cell) -> float:
@@ -247,7 +270,7 @@ def _moved(evidence: _Evidence, stated: Cell) -> Mistake:
         place = evidence.place_m(cell(x)) / (2 * _PLACE_M)
         return np.concatenate([rotation.ravel() / _ROTATION_RAD, displacement.ravel() / _POSITION_M, place])
 
-    x = least_squares(residuals, np.zeros(6), loss="soft_l1").x
+    x = least_squares(residuals, np.zeros(6), loss="soft_l1", max_nfev=20).x
     moved = cell(x)
     angle_deg = float(np.degrees(np.linalg.norm(x[:3])))
     shift_m = float(np.linalg.norm(se3.apply(moved.T_base_camera, np.zeros(3)) - start[:3, 3]))
