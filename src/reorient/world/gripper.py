@@ -14,6 +14,10 @@ from reorient.world.in_hand import Hand, Range
 from reorient.world.rendering import Placement, Renderer
 
 
+_BOX = trimesh.creation.box()
+_CORNERS, _FACES = _BOX.vertices > 0, np.asarray(_BOX.faces)
+
+
 class Gripper:
     """Rendered like the object, at the object's poses."""
 
@@ -76,9 +80,9 @@ def grip(
     boxes.append(([-max(half, spread), max(half, spread)], (-half, half), (palm_m, back_m)))
     half = size_m(hand.arm_width) / 2
     boxes.append(([-half, half], (-half, half), (back_m, back_m + hand.arm_length * radius_m)))
-    parts = [trimesh.creation.box(bounds=np.array(box, float).T) for box in boxes]
-    vertices = np.concatenate([part.vertices for part in parts])
-    faces = np.concatenate([part.faces + 8 * index for index, part in enumerate(parts)])
+    low, high = np.moveaxis(np.array(boxes, float), 2, 0)[:, :, None]
+    vertices = np.where(_CORNERS, high, low).reshape(-1, 3)
+    faces = (_FACES + 8 * np.arange(len(boxes))[:, None, None]).reshape(-1, 3)
     return Gripper(trimesh.Trimesh(vertices @ axes.T, faces, process=False))
 
 
