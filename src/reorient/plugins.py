@@ -1,8 +1,9 @@
-"""User classes, named on the command line as ``my_module:MyClass``."""
+"""User classes, named on the command line as ``my_module:MyClass``, and the libraries of the extras."""
 
 import importlib
 import sys
 from pathlib import Path
+from typing import Any
 
 from reorient.errors import ReorientError
 
@@ -20,4 +21,14 @@ def make_own(kind: str, name: str) -> object:
     except Exception as error:  # the user's code may raise anything
         raise ReorientError(
             f"cannot make {kind} {name!r} ({type(error).__name__}: {error}): expected an importable class"
+        ) from error
+
+
+def import_extra(module: str, extra: str) -> Any:
+    """The library ``module``, which an extra of this package installs. Raises ReorientError where it is missing."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise ReorientError(
+            f"cannot import {module} ({error}): expected `pip install 'reorient[{extra}]'`"
         ) from error

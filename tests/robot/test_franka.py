@@ -1,0 +1,86 @@
+"""The Franka driver on franky-control, against franky-sim on MuJoCo's dynamics."""
+
+import franka_controller
+import motions
+import numpy as np
+import pytest
+from peer import Peer, running
+
+from reorient import se3
+from reorient.errors import StationError
+from reorient.stations.arms.franka import FrankaArm
+
+
+@pytest.fixture
+def controller():
+    with running(franka_controller.main) as peer:
+        yield peer
+
+
+def connect(controller: Peer, **settings) -> FrankaArm:
+    return FrankaArm(address=controller.address, realtime=False, **(motions.FAST | settings))
+
+
+def hand(controller: Peer) -> np.ndarray:
+    return controller.ask("truth")[0]
+
+
+def test_a_motion_ends_where_the_simulator_says(controller):
+    """Three moves; the hand's motion in MuJoCo is the commanded one, and pose() measures it."""
+    arm = connect(controller)
+    for rotvec_rad, t_m in (((0, 0, 0.5), (0.02, 0, 0)), ((0.3, -0.2, 0.1), (0, 0.02, -0.02)), ((0, -0.4, 0), (0,) * 3)):
+        T_start, T_hand = arm.pose(), hand(controller)
+        goal = motions.moved(T_start, rotvec_rad, t_m)
+        reached = arm.move_to(goal)
+        assert motions.close(reached, goal, 1e-3, 0.3)
+        # the hand is fixed to the tool
+        T_hand_tool = se3.inverse(T_hand) @ T_start
+        assert motions.close(hand(controller) @ T_hand_tool, goal, 2e-3, 0.3)
+        assert motions.close(hand(controller) @ T_hand_tool, arm.pose(), 1e-3, 0.05)
+
+
+def test_the_speed_limit_holds(controller):
+    arm = connect(controller, speed_deg_s=15.0)
+    start = arm.pose()
+    path = arm.path(start, motions.moved(start, (0, 0, 0.25)))
+    assert np.degrees(0.25) / 15 < path.duration_s < 3 * np.degrees(0.25) / 15
+    speeds = []
+    arm_pose = arm.pose
+    arm.pose = lambda: speeds.append(np.abs(controller.ask("truth")[1]).max()) or arm_pose()
+    arm.move_to(path.T_end)
+    assert 0.5 * np.radians(15) < max(speeds) < 1.3 * np.radians(15)
+
+
+def test_ctrl_c_stops_the_arm(controller):
+    arm = connect(controller, speed_deg_s=20.0)
+    motions.stops_on_ctrl_c(arm, motions.moved(arm.pose(), (0, 0, 0.8)), lambda: hand(controller))
+
+
+def test_a_reflex_of_the_controller(controller):
+    arm = connect(controller, speed_deg_s=20.0)
+    motions.after(0.7, lambda: controller.ask("reflex"))
+    with pytest.raises(StationError, match=r"the controller of .* stopped the arm: .*[Rr]eflex"):
+        arm.move_to(motions.moved(arm.pose(), (0, 0, 0.8)))
+    motions.refuses_to_move_again(arm, lambda: hand(controller))
+
+
+def test_a_controller_that_dies_in_a_move(controller):
+    arm = connect(controller, speed_deg_s=20.0)
+    motions.after(0.7, controller.kill)
+    with pytest.raises(StationError, match="connection to the Franka at .* lost") as error:
+        arm.move_to(motions.moved(arm.pose(), (0, 0, 0.8)))
+    assert "\n" not in str(error.value)
+    with pytest.raises(StationError, match="not moved again after: connection"):
+        arm.move_to(np.eye(4))
+
+
+def test_a_second_client_is_refused(controller):
+    arm = connect(controller)
+    with pytest.raises(StationError, match="no other client"):
+        connect(controller, timeout_s=1.0)
+    assert arm.pose()[3, 3] == 1
+
+
+def test_no_controller():
+    with pytest.raises(StationError, match="expected a Franka controller at 127.0.0.9 with FCI active"):
+        FrankaArm(address="127.0.0.9", realtime=False, timeout_s=3.0)
