@@ -10,7 +10,7 @@ from franky_sim.mujoco_simulator import MujocoSimulator
 
 
 def main(connection: Connection) -> None:
-    """Answers ("truth",) with MuJoCo's pose of the hand and the speeds of the joints; ("reflex",) aborts the motion."""
+    """Answers ("truth",) with MuJoCo's pose of the hand and its clock; ("reflex",) aborts the motion."""
     with MujocoSimulator(enable_visualization=False) as simulator:
         robot = simulator.add_robot()
         with SimulationServer(simulator) as server:
@@ -20,7 +20,7 @@ def main(connection: Connection) -> None:
                 if connection.poll():
                     if connection.recv() == ("reflex",):
                         _abort(robot.server)
-                    connection.send((_hand(simulator.data), np.array(robot.inner_state.dq)))
+                    connection.send((_hand(simulator.data), simulator.data.time))
 
 
 def _hand(data: object) -> np.ndarray:

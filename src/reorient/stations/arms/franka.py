@@ -9,7 +9,7 @@ import numpy as np
 from reorient.errors import StationError
 from reorient.plugins import import_extra
 from reorient.se3 import Transform
-from reorient.stations.arms.supervised import StraightPath, SupervisedArm, connected
+from reorient.stations.arms.supervised import StraightPath, SupervisedArm, connected, one_line
 
 _JERK_PER_ACCELERATION = 20.0  # 1 / s: full acceleration after 50 ms, smooth for a grasped object. Not tuned
 
@@ -81,6 +81,6 @@ class FrankaArm(SupervisedArm):
         try:
             return call()
         except (self._franky.ControlException, self._franky.CommandException) as error:
-            raise StationError(f"the controller of {self.address} stopped the arm: {error}") from error
+            raise StationError(f"the controller of {self.address} stopped the arm: {one_line(error)}") from error
         except Exception as error:  # libfranka's NetworkException, or an error of the socket below it
-            raise StationError(f"connection to the Franka at {self.address} lost: {error}") from error
+            raise StationError(f"connection to the Franka at {self.address} lost: {one_line(error)}") from error

@@ -157,11 +157,11 @@ class SupervisedArm(ABC):
 
     def _give_up(self, error: BaseException) -> None:
         """Stop the arm, and refuse all further moves."""
-        self.failure = str(error) or type(error).__name__
+        self.failure = one_line(error)
         try:
             self.stop()
         except Exception as second:
-            self.failure += f"; stopping failed, too ({second}): use the emergency stop"
+            self.failure += f"; stopping failed, too ({one_line(second)}): use the emergency stop"
 
 
 def apart(T_a: Transform, T_b: Transform) -> tuple[float, float]:
@@ -200,9 +200,10 @@ def connected(make: Callable[[], Made], timeout_s: float, expected: str) -> Made
     if isinstance(result, ReorientError):
         raise result
     if isinstance(result, Exception):
-        raise StationError(f"no connection ({_one_line(result)}): expected {expected}") from result
+        raise StationError(f"no connection ({one_line(result)}): expected {expected}") from result
     return result
 
 
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
+def one_line(error: BaseException) -> str:
+    """The first line of a vendor's error: some append the whole state of the robot."""
+    return str(error).strip().partition("\n")[0] or type(error).__name__
