@@ -29,6 +29,4 @@ def import_extra(module: str, extra: str) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        raise ReorientError(
-            f"cannot import {module} ({error}): expected `pip install 'reorient[{extra}]'`"
-        ) from error
+        raise ReorientError(f"cannot import {module} ({error}): expected `pip install 'reorient[{extra}]'`") from error

@@ -7,7 +7,6 @@ from multiprocessing.connection import Connection
 import numpy as np
 from abb_robot_client._egm_protobuf import egm_pb2
 
-
 RATE_HZ = 250.0
 GAIN = 0.2  # of the way to the answered pose in each period, as EGM's position gain does
 

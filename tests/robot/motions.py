@@ -15,6 +15,14 @@ from reorient.stations.arms.supervised import SupervisedArm, apart
 
 FAST = {"speed_m_s": 0.3, "speed_deg_s": 60.0, "acceleration_m_s2": 2.0, "acceleration_deg_s2": 300.0}
 
+MOVES = (
+    ((0, 0, 0.5), (0.02, 0, 0)),
+    ((0.3, -0.2, 0.1), (0, 0.02, -0.02)),
+    ((0, -0.4, 0), (0, 0, 0)),
+    ((0, 0, 0), (0, 0, 0)),
+)
+"""Rotation vectors in radians and shifts in metres, base axes; the last is no move."""
+
 
 def moved(T: np.ndarray, rotvec_rad: tuple[float, ...], t_m: tuple[float, ...] = (0.0, 0.0, 0.0)) -> np.ndarray:
     """The pose T, rotated about the base's axes and shifted along them."""

@@ -41,9 +41,7 @@ def main(connection: Connection, domain: int) -> None:
             node.destroy_subscription(subscription)
         elif what == "rival":
             node.create_publisher(PoseStamped, "target_frame", 1)
-        connection.send(
-            (len(commands), read(commands[-1])) if what == "commands" else (robot["pos"], robot["quat"])
-        )
+        connection.send((len(commands), read(commands[-1])) if what == "commands" else (robot["pos"], robot["quat"]))
 
 
 def read(message: PoseStamped) -> tuple[str, np.ndarray, np.ndarray]:

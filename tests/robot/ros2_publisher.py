@@ -15,7 +15,16 @@ def main(connection: Connection, domain: int) -> None:
     """("set", {field: value}) changes what is published: depth, kind (dtype), late_s, d, ..."""
     rclpy.init(domain_id=domain)
     node = rclpy.create_node("camera")
-    state = {"depth": None, "kind": "<u2", "encoding": "", "bigendian": False, "padding": 0, "late_s": 0.0, "d": (), "width": WIDTH}
+    state = {
+        "depth": None,
+        "kind": "<u2",
+        "encoding": "",
+        "bigendian": False,
+        "padding": 0,
+        "late_s": 0.0,
+        "d": (),
+        "width": WIDTH,
+    }
     images = node.create_publisher(Image, "/camera/depth/image", 1)
     infos = node.create_publisher(CameraInfo, "/camera/depth/camera_info", 1)
 

@@ -42,7 +42,7 @@ def truth(controller: Peer) -> np.ndarray:
 
 def test_a_motion_ends_where_the_controller_is(controller, connect):
     arm = connect()
-    for rotvec_rad, t_m in (((0, 0, 0.5), (0.02, 0, 0)), ((0.3, -0.2, 0.1), (0, 0.02, -0.02)), ((0, 0, 0), (0,) * 3)):
+    for rotvec_rad, t_m in motions.MOVES:
         goal = motions.moved(arm.pose(), rotvec_rad, t_m)
         reached = arm.move_to(goal)
         assert motions.close(reached, goal)
@@ -69,7 +69,9 @@ def test_the_commanded_poses_keep_the_limits(controller, connect):
     arm.move_to(motions.moved(arm.pose(), (0, 0, 0.3), (0.05, 0, 0)))
     answers = [(t, from_egm(np.array(pos), np.array(quat))) for t, pos, quat in controller.ask("answers")]
     lag = 25  # answers, a tenth of a second: over one period the clock's noise would count
-    steps = [(apart(T, T_later), t_later - t) for (t, T), (t_later, T_later) in zip(answers, answers[lag:])]
+    steps = [
+        (apart(T, T_later), t_later - t) for (t, T), (t_later, T_later) in zip(answers, answers[lag:], strict=False)
+    ]
     assert 0.02 < max(distance_m / dt for (distance_m, _), dt in steps) < 0.05 * 1.15
     assert 5 < max(angle_deg / dt for (_, angle_deg), dt in steps) < 20 * 1.15
 

@@ -27,9 +27,13 @@ def hand(controller: Peer) -> np.ndarray:
 
 
 def test_a_motion_ends_where_the_simulator_says(controller):
-    """Three moves; the hand's motion in MuJoCo is the commanded one, and pose() measures it."""
+    """The hand's motion in MuJoCo is the commanded one, and pose() measures it."""
     arm = connect(controller)
-    for rotvec_rad, t_m in (((0, 0, 0.5), (0.02, 0, 0)), ((0.3, -0.2, 0.1), (0, 0.02, -0.02)), ((0, -0.4, 0), (0,) * 3)):
+    for rotvec_rad, t_m in (
+        ((0, 0, 0.5), (0.02, 0, 0)),
+        ((0.3, -0.2, 0.1), (0, 0.02, -0.02)),
+        ((0, -0.4, 0), (0,) * 3),
+    ):
         T_start, T_hand = arm.pose(), hand(controller)
         goal = motions.moved(T_start, rotvec_rad, t_m)
         reached = arm.move_to(goal)
@@ -38,6 +42,12 @@ def test_a_motion_ends_where_the_simulator_says(controller):
         T_hand_tool = se3.inverse(T_hand) @ T_start
         assert motions.close(hand(controller) @ T_hand_tool, goal, 2e-3, 0.3)
         assert motions.close(hand(controller) @ T_hand_tool, arm.pose(), 1e-3, 0.05)
+
+
+def test_the_pose_is_that_of_the_tool_in_the_base(controller):
+    """Metres, base axes: the tool point lies 103.4 mm before the hand of MuJoCo, with the same axes."""
+    T_hand_tool = se3.transform(np.eye(3), np.array([0, 0, 0.1034]))
+    assert motions.close(connect(controller).pose(), hand(controller) @ T_hand_tool, 1e-4, 0.01)
 
 
 def test_the_speed_limit_holds(controller):
@@ -49,7 +59,9 @@ def test_the_speed_limit_holds(controller):
     arm_pose = arm.pose
     arm.pose = lambda: seen.append(controller.ask("truth")) or arm_pose()
     arm.move_to(path.T_end)
-    speeds_deg_s = [apart(T, T_later)[1] / (t_later - t) for (T, t), (T_later, t_later) in zip(seen, seen[10:])]
+    speeds_deg_s = [
+        apart(T, T_later)[1] / (t_later - t) for (T, t), (T_later, t_later) in zip(seen, seen[10:], strict=False)
+    ]
     assert 10 < max(speeds_deg_s) < 15 * 1.1
 
 

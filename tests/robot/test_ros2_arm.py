@@ -37,7 +37,7 @@ def truth(controller: Peer) -> np.ndarray:
 
 def test_a_motion_ends_where_the_controller_is(controller, connect):
     arm = connect()
-    for rotvec_rad, t_m in (((0, 0, 0.5), (0.02, 0, 0)), ((0.3, -0.2, 0.1), (0, 0.02, -0.02)), ((0, 0, 0), (0,) * 3)):
+    for rotvec_rad, t_m in motions.MOVES:
         goal = motions.moved(arm.pose(), rotvec_rad, t_m)
         reached = arm.move_to(goal)
         assert motions.close(reached, goal)

@@ -33,7 +33,7 @@ def told_to_stop(controller: Peer) -> bool:
 
 def test_a_motion_ends_where_the_controller_is(controller):
     arm = connect(controller)
-    for rotvec_rad, t_m in (((0, 0, 0.5), (0.02, 0, 0)), ((0.3, -0.2, 0.1), (0, 0.02, -0.02)), ((0, 0, 0), (0,) * 3)):
+    for rotvec_rad, t_m in motions.MOVES:
         goal = motions.moved(arm.pose(), rotvec_rad, t_m)
         reached = arm.move_to(goal)
         assert motions.close(reached, goal, 1e-5, 1e-3)

@@ -33,7 +33,9 @@ class FrankaArm(SupervisedArm):
         self._franky: Any = import_extra("franky", "franka")
         config = self._franky.RealtimeConfig
         self._robot: Any = connected(
-            lambda: self._franky.Robot(self.address, realtime_config=config.Enforce if self.realtime else config.Ignore),
+            lambda: self._franky.Robot(
+                self.address, realtime_config=config.Enforce if self.realtime else config.Ignore
+            ),
             self.timeout_s,
             f"a Franka controller at {self.address} with FCI active and no other client, and a real-time kernel unless "
             "realtime = false",

@@ -138,6 +138,4 @@ def to_ros(T: Transform, geometry: Any) -> Any:
     """The geometry_msgs/Pose of a pose in metres; ``geometry``: the module geometry_msgs.msg."""
     w, x, y, z = so3.quat_from_matrix(T[:3, :3]).tolist()
     px, py, pz = T[:3, 3].tolist()
-    return geometry.Pose(
-        position=geometry.Point(x=px, y=py, z=pz), orientation=geometry.Quaternion(x=x, y=y, z=z, w=w)
-    )
+    return geometry.Pose(position=geometry.Point(x=px, y=py, z=pz), orientation=geometry.Quaternion(x=x, y=y, z=z, w=w))

@@ -69,9 +69,7 @@ class UrArm(SupervisedArm):
         pose = [*path.T_end[:3, 3], *so3.log(path.T_end[:3, :3])]
         numbers = ", ".join(f"{x:.6f}" for x in pose)
         # t has priority over a and v: the duration is planned here, for rotations too, which a and v do not limit
-        self._send(
-            f"movel(p[{numbers}], a={self.acceleration_m_s2:g}, v={self.speed_m_s:g}, t={path.duration_s:.3f})"
-        )
+        self._send(f"movel(p[{numbers}], a={self.acceleration_m_s2:g}, v={self.speed_m_s:g}, t={path.duration_s:.3f})")
         deadline_s = time.monotonic() + self.timeout_s
         while self._rtde.getRuntimeState() != _PLAYING:
             self._await_state()
@@ -127,6 +125,4 @@ class UrArm(SupervisedArm):
                 connection.shutdown(socket.SHUT_WR)
                 connection.recv(4096)  # the controller's state: it has accepted the connection
         except OSError as error:
-            raise StationError(
-                f"connection to {self.address}:{self.script_port} lost: {one_line(error)}"
-            ) from error
+            raise StationError(f"connection to {self.address}:{self.script_port} lost: {one_line(error)}") from error

@@ -40,7 +40,9 @@ class RealSenseCamera:
         check_range(self, "timeout_s", above=True)
         check_range(self, "width", "height", "rate_hz")
         if self.recording and (self.serial or not Path(self.recording).is_file()):
-            raise ReorientError(f"recording {self.recording!r}: expected an existing file, and no serial number with it")
+            raise ReorientError(
+                f"recording {self.recording!r}: expected an existing file, and no serial number with it"
+            )
         self._rs: Any = import_extra("pyrealsense2", "realsense")
         self._clock_is_host = False
         self._pipeline = self._started()

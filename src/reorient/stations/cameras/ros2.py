@@ -85,8 +85,8 @@ class Ros2Camera:
             return StationError(f"no intrinsics on {self._info_topic}: expected sensor_msgs/CameraInfo")
         late_s = self.clock_s() - seconds(self._image.header.stamp)
         return StationError(
-            f"no new image on {self.topic}: the last is stamped {late_s:.1f} s ago, before the call; expected a running "
-            "camera whose clock is that of this computer (NTP), and use_sim_time for a simulated one"
+            f"no new image on {self.topic}: the last is stamped {late_s:.1f} s ago, before the call; expected a "
+            "running camera, and its clock in step with this computer's (NTP)"
         )
 
 
@@ -121,8 +121,8 @@ def camera_of(info: Any, image: Any, rectified: bool) -> Camera:
         )
     if (info.width, info.height) != (image.width, image.height) or max(info.binning_x, info.binning_y) > 1:
         raise ReorientError(
-            f"intrinsics of {info.width} x {info.height} px (binning {info.binning_x}, {info.binning_y}) for an image of "
-            f"{image.width} x {image.height} px: expected those of the image"
+            f"intrinsics of {info.width} x {info.height} px (binning {info.binning_x}, {info.binning_y}) for an image "
+            f"of {image.width} x {image.height} px: expected those of the image"
         )
     K = np.array(info.p).reshape(3, 4)[:, :3] if rectified else np.array(info.k).reshape(3, 3)
     return Camera.from_K(K, info.width, info.height)
