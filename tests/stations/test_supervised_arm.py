@@ -3,6 +3,7 @@
 import re
 import time
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -69,7 +70,7 @@ def test_a_path_is_straight_smooth_and_within_the_limits():
         T = np.array([path.at(x) for x in t])
         assert np.allclose(T[0], start)
         assert np.allclose(T[-1], end)
-        steps = np.array([apart(a, b) for a, b in zip(T, T[1:], strict=False)])
+        steps = np.array([apart(a, b) for a, b in pairwise(T)])
         speeds = steps / np.diff(t)[:, None]
         accelerations = np.abs(np.diff(speeds, axis=0)) / np.diff(t)[1:, None]
         assert np.all(speeds.max(0) < np.array([0.1, 30.0]) * 1.01)
