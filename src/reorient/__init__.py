@@ -15,6 +15,10 @@ if TYPE_CHECKING:
     from reorient.estimators import load_estimator
     from reorient.estimators.base import Estimator, RotationEstimate
     from reorient.imaging import Camera, DepthImage
+    from reorient.perception.robot_calibration import RobotCalibration
+    from reorient.stations.calibrating import calibrate
+    from reorient.stations.guarded import RobotLimits
+    from reorient.stations.robot import RobotStation
 
 __version__ = "0.1.0.dev0"
 __all__ = [
@@ -26,10 +30,14 @@ __all__ = [
     "Limits",
     "OrientResult",
     "ReorientError",
+    "RobotCalibration",
+    "RobotLimits",
+    "RobotStation",
     "RotationEstimate",
     "Station",
     "StationError",
     "Step",
+    "calibrate",
     "load_estimator",
     "load_strategy",
     "orient",
@@ -41,6 +49,10 @@ _MODULES = {
     "estimators": ("load_estimator",),
     "estimators.base": ("Estimator", "RotationEstimate"),
     "imaging": ("Camera", "DepthImage"),
+    "perception.robot_calibration": ("RobotCalibration",),
+    "stations.calibrating": ("calibrate",),
+    "stations.guarded": ("RobotLimits",),
+    "stations.robot": ("RobotStation",),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 

@@ -17,8 +17,9 @@ if TYPE_CHECKING:
 class StationChoice:
     """Choice of the station."""
 
-    station: Annotated[str, Metavar("MODULE:CLASS")] = "rendered"
-    """A class of your own, importable from here and made without arguments, or 'rendered' for a simulated station."""
+    station: Annotated[str, Metavar("STATION")] = "rendered"
+    """A robot.toml, a class of your own as module:Class, importable from here and made without arguments, or 'rendered'
+    for a simulated station."""
     object_index: int = 0
     """Number of the generated object at the simulated station."""
     pose_seed: int = 0
@@ -39,8 +40,12 @@ class StationChoice:
 
         if self.station == "rendered":
             return self._rendered()
+        if self.station.endswith(".toml"):
+            from reorient.stations.robot_file import read_robot_file
+
+            return read_robot_file(self.station).open_station()
         if ":" not in self.station:
-            raise ReorientError(f"station {self.station!r}: expected 'rendered' or my_module:MyStation")
+            raise ReorientError(f"station {self.station!r}: expected 'rendered', a robot.toml or my_module:MyStation")
         return load_station(self.station)
 
     def _rendered(self) -> "Station":

@@ -56,8 +56,8 @@ def pivot_of(station: Station) -> Float[np.ndarray, "3"] | None:
         raise StationError(f"cannot read the station's pivot_m: {type(error).__name__}: {error}") from error
 
 
-def clock_of(station: Station) -> float | None:
-    """The station's clock now, in seconds; None where it has none, or one that fails."""
+def clock_of(station: object) -> float | None:
+    """The clock of a station or a camera now, in seconds; None where it has none, or one that fails."""
     try:
         clock_s = float(station.clock_s())  # type: ignore[attr-defined]
     except Exception:

@@ -1,0 +1,144 @@
+"""Drivers of cameras and arms: their protocols, and the table of names by which ``robot.toml`` selects them.
+
+A driver is a class that is made from keyword settings (``address`` and the like). It lives in ``stations/cameras`` or
+``stations/arms``, or is a class of your own, ``my_module:MyCamera``. The module of a driver, and with it the vendor's
+library, is imported when the driver is made.
+"""
+
+import inspect
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, Protocol, cast, runtime_checkable
+
+from reorient.controller.station import missing_members
+from reorient.errors import ReorientError, unknown_name
+from reorient.imaging import DepthImage
+from reorient.plugins import import_own
+from reorient.se3 import Transform
+
+
+@runtime_checkable
+class CameraDriver(Protocol):
+    """A depth camera that does not move.
+
+    A further method is optional: ``clock_s() -> float``, the clock of the frames' stamps; without it the clock is
+    inferred from the frames.
+    """
+
+    def capture(self) -> DepthImage:
+        """The next whole frame, with its stamp in seconds. Raises StationError, or any exception, where there is none.
+
+        The camera of the image is that of the frame: rectified, pixel centres at +0.5.
+        """
+        ...
+
+
+@runtime_checkable
+class ArmDriver(Protocol):
+    """A robot arm whose tool holds the object.
+
+    A further method is optional: ``reachable(T_base_tool) -> bool``, whether ``move_to`` could get there.
+    """
+
+    def pose(self) -> Transform:
+        """The measured pose of the tool: T_base_tool, metres."""
+        ...
+
+    def move_to(self, T_base_tool: Transform) -> Transform:
+        """Move the tool in a straight line to a pose, wait for the end, and return the measured pose there.
+
+        Raises StationError, or any exception, where the arm stopped before, or did not arrive in time.
+        """
+        ...
+
+    def stop(self) -> None:
+        """Stop the arm where it is."""
+        ...
+
+
+@dataclass(frozen=True)
+class Driver:
+    """Where a driver is found."""
+
+    module: str
+    """Within ``reorient.stations``."""
+    name: str
+    """Of the class."""
+    extra: str = ""
+    """The extra that installs the vendor's library; empty: none is needed."""
+
+
+CAMERAS = {
+    "folder": Driver("cameras.folder", "FolderCamera"),
+    "realsense": Driver("cameras.realsense", "RealSenseCamera", "realsense"),
+    "ros2": Driver("cameras.ros2", "Ros2Camera", "ros2"),
+    "simulated": Driver("simulated", "SimulatedCamera"),
+}
+ARMS = {
+    "abb": Driver("arms.abb", "AbbArm", "abb"),
+    "franka": Driver("arms.franka", "FrankaArm", "franka"),
+    "ros2": Driver("arms.ros2", "Ros2Arm", "ros2"),
+    "simulated": Driver("simulated", "SimulatedArm"),
+    "ur": Driver("arms.ur", "UrArm", "ur"),
+}
+
+
+def make_camera(name: str, settings: Mapping[str, Any]) -> CameraDriver:
+    """The camera driver of a name, or of ``my_module:MyCamera``, made with keyword settings.
+
+    Raises ReorientError for an unknown name or setting, a missing extra, and a class that lacks ``capture``.
+    """
+    return cast(CameraDriver, _made("camera", name, settings, CAMERAS, ("capture",)))
+
+
+def make_arm(name: str, settings: Mapping[str, Any]) -> ArmDriver:
+    """The arm driver of a name, or of ``my_module:MyArm``. Errors as of ``make_camera``."""
+    return cast(ArmDriver, _made("arm", name, settings, ARMS, ("pose", "move_to", "stop")))
+
+
+def _made(
+    kind: str, name: str, settings: Mapping[str, Any], known: Mapping[str, Driver], members: tuple[str, ...]
+) -> object:
+    if ":" in name:
+        driver: Any = import_own(f"{kind} driver", name)
+    elif name in known:
+        driver = _imported(kind, name, known[name])
+    else:
+        raise unknown_name(f"{kind} driver", name, [*known, f"my_module:My{kind.title()}"])
+    _check_settings(kind, name, driver, settings)
+    try:
+        made: object = driver(**settings)
+    except ReorientError:
+        raise
+    except Exception as error:  # the vendor's library may raise anything
+        raise ReorientError(f"cannot open {kind} {name!r}: {type(error).__name__}: {error}") from error
+    if missing := missing_members(made, members):
+        raise ReorientError(f"{kind} driver {name!r} has no {', '.join(missing)}: expected {', '.join(members)}")
+    return made
+
+
+def _imported(kind: str, name: str, driver: Driver) -> Any:
+    try:
+        return getattr(import_module(f"reorient.stations.{driver.module}"), driver.name)
+    except ImportError as error:
+        if not driver.extra:
+            raise
+        raise ReorientError(
+            f"{kind} driver {name!r} needs a package that is not installed ({error}): expected "
+            f"`pip install 'reorient[{driver.extra}]'`"
+        ) from error
+
+
+def _check_settings(kind: str, name: str, driver: Any, settings: Mapping[str, Any]) -> None:
+    """Raise ReorientError for settings that the class does not take, or lacks."""
+    parameters = inspect.signature(driver).parameters.values()
+    if any(each.kind is each.VAR_KEYWORD for each in parameters):
+        return
+    known = [each.name for each in parameters if each.kind is not each.VAR_POSITIONAL]
+    for setting in settings:
+        if setting not in known:
+            raise unknown_name(f"setting of {kind} driver {name!r}:", setting, known)
+    required = [each.name for each in parameters if each.default is each.empty and each.name in known]
+    if lacking := [each for each in required if each not in settings]:
+        raise ReorientError(f"{kind} driver {name!r} lacks {', '.join(lacking)}: expected in [{kind}] of robot.toml")
