@@ -50,6 +50,16 @@ def test_the_pose_is_that_of_the_tool_in_the_base(controller):
     assert motions.close(connect(controller).pose(), hand(controller) @ T_hand_tool, 1e-4, 0.01)
 
 
+def test_a_pose_beyond_the_joints_or_the_reach_is_not_reachable(controller):
+    """The reachable ones are reached; the last joint ends at 3.02 rad, and stands at 0.785."""
+    arm = connect(controller)
+    T = arm.pose()
+    within, beyond = motions.moved(T, (0, 0, -2.1)), motions.moved(T, (0, 0, -2.4))
+    assert (arm.reachable(within), arm.reachable(beyond)) == (True, False)
+    assert not arm.reachable(motions.moved(T, (0, 0, 0), (0.6, 0, 0)))
+    assert motions.close(arm.move_to(within), within, 1e-3, 0.3)
+
+
 def test_the_speed_limit_holds(controller):
     arm = connect(controller, speed_deg_s=15.0)
     start = arm.pose()

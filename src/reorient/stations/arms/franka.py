@@ -9,6 +9,7 @@ import numpy as np
 from reorient.errors import StationError
 from reorient.plugins import import_extra
 from reorient.se3 import Transform
+from reorient.stations.arms.reach import follows, joint_limits
 from reorient.stations.arms.supervised import StraightPath, SupervisedArm, connected, one_line
 
 _JERK_PER_ACCELERATION = 20.0  # 1 / s: full acceleration after 50 ms, smooth for a grasped object. Not tuned
@@ -47,6 +48,7 @@ class FrankaArm(SupervisedArm):
             getattr(self._robot, f"{kind}_velocity_limit").set(speed)
             getattr(self._robot, f"{kind}_acceleration_limit").set(acceleration)
             getattr(self._robot, f"{kind}_jerk_limit").set(_JERK_PER_ACCELERATION * acceleration)
+        self._joint_limits = joint_limits(self._robot.model_urdf, 7)
         self.pose()
 
     def pose(self) -> Transform:
@@ -61,8 +63,24 @@ class FrankaArm(SupervisedArm):
                 "joints, activate FCI)"
             )
         # By the measured joints: O_T_EE says the same on an arm, but is the desired pose in franky-sim 1.0.4.
+        return self._pose_of(state, state.q)
+
+    def reachable(self, T_base_tool: Transform) -> bool:
+        """Whether the joints could follow the straight line to a pose within their limits."""
+        state = self._asked(lambda: self._robot.state)
+        frame, model = self._franky.Frame.EndEffector, self._robot.model
+        return follows(
+            self.path(self._pose_of(state, state.q), T_base_tool),
+            np.array(state.q, float),
+            self._joint_limits,
+            lambda q: self._pose_of(state, q),
+            lambda q: np.array(model.zero_jacobian(frame, q, state.F_T_EE, state.EE_T_K), float),
+        )
+
+    def _pose_of(self, state: Any, q: Any) -> Transform:
+        """T_base_tool of joint angles, with the end effector of a state."""
         frame = self._franky.Frame.EndEffector
-        return np.array(self._robot.model.pose(frame, state.q, state.F_T_EE, state.EE_T_K).matrix, float)
+        return np.array(self._robot.model.pose(frame, q, state.F_T_EE, state.EE_T_K).matrix, float)
 
     def stop(self) -> None:
         """Stop the motion. The controller brakes the arm."""

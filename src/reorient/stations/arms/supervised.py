@@ -34,7 +34,10 @@ class StraightPath:
     def at(self, elapsed_s: float) -> Transform:
         """The pose so long after the start; before and after the path its ends."""
         s = float(np.clip(elapsed_s / self.duration_s, 0, 1))
-        s = s**3 * (10 - 15 * s + 6 * s**2)
+        return self.along(s**3 * (10 - 15 * s + 6 * s**2))
+
+    def along(self, s: float) -> Transform:
+        """The pose at a share of the way, from 0 to 1."""
         R_start, R_end = self.T_start[:3, :3], self.T_end[:3, :3]
         R = R_start @ so3.exp(s * so3.log(R_start.T @ R_end))
         return se3.transform(R, (1 - s) * self.T_start[:3, 3] + s * self.T_end[:3, 3])
