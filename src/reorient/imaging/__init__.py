@@ -2,6 +2,6 @@
 
 from reorient.imaging.camera import Camera
 from reorient.imaging.depth_image import DepthImage
-from reorient.imaging.isolation import isolate
+from reorient.imaging.isolation import Isolation, isolate
 
-__all__ = ["Camera", "DepthImage", "isolate"]
+__all__ = ["Camera", "DepthImage", "Isolation", "isolate"]
