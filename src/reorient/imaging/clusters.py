@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy import sparse
+from scipy import ndimage, sparse
 from scipy.spatial import cKDTree
 
 from reorient.imaging.depth_image import DepthImage
@@ -17,6 +17,8 @@ _FEWEST = 8  # returns of a cluster; fewer are stray ones
 _SPECK = 0.03  # of the largest cluster: smaller ones are stray returns
 _NEAR = 0.12  # a cluster belongs to the object if its gap, relative to the object's size, is below this,
 _BRIDGED = 0.6  # or below this, with no farther returns within the gap: a finger or a shadow cuts the object
+_STEP = 0.25  # or below this, where they are neighbours in the image and the nearer one hides what connects them
+_HIDDEN = 0.7  # share of the pixels within the gap that must hide it
 _SIMILAR = 1 / 3  # of the object's returns: a cluster with at least this many may be meant as well
 
 
@@ -83,6 +85,7 @@ class _Gap:
     def __init__(self, image: DepthImage, mask: Mask) -> None:
         self._image = image
         self._pixels = np.argwhere(mask)
+        self._beside = ndimage.binary_dilation(mask, np.ones((3, 3)), 2)
         points_m = _points(image, mask)
         self._tree = cKDTree(points_m)
         self._size_m = float(size_m(points_m)[0])
@@ -95,6 +98,8 @@ class _Gap:
         gap_m = float(distances_m[closest])
         if gap_m < max(_NEAR * self._size_m, 3 * self._pitch_m):
             return True
+        if gap_m < _STEP * self._size_m and (self._beside & cluster).any():
+            return True
         ends = np.argwhere(cluster)[closest], self._pixels[nearest[closest]]
         return gap_m < _BRIDGED * self._size_m and self._is_bridged(*ends)
 
@@ -104,7 +109,7 @@ class _Gap:
         rows, columns = np.rint(np.linspace(start, end, count)).astype(int)[1:-1].T
         between_m = self._image.depth_m[rows, columns]
         limit_m = np.linspace(self._image.depth_m[tuple(start)], self._image.depth_m[tuple(end)], count)[1:-1]
-        return bool(np.mean(between_m < limit_m) > 0.7)
+        return bool(np.count_nonzero(between_m < limit_m) > _HIDDEN * len(between_m))
 
 
 def _points(image: DepthImage, mask: Mask) -> Float[np.ndarray, "n 3"]:

@@ -81,7 +81,7 @@ class Isolation:
         planes = continuing_planes(image, chosen)
         kept = chosen & image.valid
         if self.remove_plane:
-            for plane in planes:
+            for plane in filter(lambda plane: plane.is_wide, planes):
                 kept &= above(image, chosen, plane)
             _require(kept, "no returns are left beside the removed planes: expected an object at least 5 mm high")
         if self.background is not None:
@@ -95,7 +95,7 @@ class Isolation:
             refuse_second_object(image, found)
             refuse_held_by_plane(image, object_mask, planes)
             refuse_cut(image, object_mask, part)
-        unknown = unknown_beside(image, object_mask, None if mask is None else inside)
+        unknown = unknown_beside(image, object_mask, kept, None if mask is None else inside)
         isolated = replace(image, depth_m=np.where(object_mask, image.depth_m, np.float32(0)), unknown=unknown)
         return require_isolated(isolated)
 

@@ -1,6 +1,6 @@
 """Planes of a depth frame that continue beyond a part of it: a table, a wall, the floor of a tray."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -16,9 +16,11 @@ _COARSE = 0.006  # distance of an inlier of a triple's plane, relative to the me
 _FINE = 2.5  # distance of an inlier of a refined plane, over the noise
 _MOST, _LEAST = 6, 0.03  # planes sought one after another; share of the returns that the smallest one holds
 _RIM_PX = 3  # width of the rim along which a plane must continue
-_RIM_SHARE = 0.2  # of the rim: a table around an object has nearly all of it, a wall a side, other parts less
+_RIM_SHARE = 0.03  # of the rim along which a plane must continue
+_WIDE = 0.2  # of the rim: a table around an object has nearly all of it, a wall a side, other parts less
 _MEDIAN_PX, _MEAN_PX = 5, 9  # windows that smooth heights
 _LOWEST_M, _HIGHEST_M = 0.001, 0.004  # range of the smoothed height below which a return belongs to a plane
+_SINGLE = 6.0  # distance of a return that needs no neighbours, over the noise
 _ABOVE_NOISE = 3.0  # this height, over the noise of the smoothed heights
 
 
@@ -31,6 +33,13 @@ class Plane:
     offset_m: float
     noise_m: float
     """Standard deviation of the distance of its returns, from their median."""
+    rim_share: float = 0.0
+    """Share of the rim of a part of the frame along which it continues."""
+
+    @property
+    def is_wide(self) -> bool:
+        """Whether it can be removed: another part next to the object may have a plane that continues, too."""
+        return self.rim_share >= _WIDE
 
     def height(self, points_m: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n"]:
         """Distance of points from the plane, metres, positive on the side of the camera."""
@@ -44,9 +53,8 @@ class Plane:
 def continuing_planes(image: DepthImage, part: Mask) -> list[Plane]:
     """The planes that hold returns of a part of a frame and continue beyond it, those with most returns first.
 
-    A plane continues if it holds returns along at least a fifth of the part's rim, and beyond the rim as well, or
-    reaches the end of the frame there. So the sides of an object within the part do not count. Planes are found by
-    RANSAC (Fischler and Bolles 1981) around the part, and refined by least squares. Deterministic.
+    A plane continues if it holds returns along the part's rim, and beyond the rim as well, or reaches the end of the
+    frame there. So the sides of an object within the part do not count. Planes are found by RANSAC (Fischler and Bolles 1981) around the part, and refined by least squares. Deterministic.
     """
     rays, rng = image.camera.rays(), np.random.default_rng(0)
     points_m = rays * image.depth_m[..., None]
@@ -60,8 +68,8 @@ def continuing_planes(image: DepthImage, part: Mask) -> list[Plane]:
         on = rest & plane.holds(points_m)
         if np.count_nonzero(on) < least:
             break
-        if _continues(on, part):
-            found.append(plane)
+        if (share := _rim_share(on, part)) >= _RIM_SHARE:
+            found.append(replace(plane, rim_share=share))
         rest &= ~on
     return found
 
@@ -78,8 +86,9 @@ def above(image: DepthImage, part: Mask, plane: Plane) -> Mask:
 def off_surface(heights_m: Float[np.ndarray, "height width"], valid: Mask, part: Mask, noise_m: float) -> Mask:
     """The returns of a part of a frame that are off a surface, given each one's distance from it and the noise.
 
-    First those whose median over 5 x 5 pixels is off by three times its noise; then those connected to them whose mean
-    over 9 x 9 of the remaining pixels is: the foot of an object, and low parts beside high ones.
+    First those whose median over 5 x 5 pixels is off by three times its noise, and those that are off by six times the
+    noise themselves: thin parts. Then those connected to them whose mean over 9 x 9 of the remaining pixels is off: the
+    foot of an object, and low parts beside high ones.
     """
     window = _window(part, 2 * _MEAN_PX)
     heights_m, seen = heights_m[window].astype(np.float32), valid[window]
@@ -87,7 +96,7 @@ def off_surface(heights_m: Float[np.ndarray, "height width"], valid: Mask, part:
     median_m = ndimage.median_filter(heights_m[tuple(nearest)], _MEDIAN_PX, mode="nearest")
     on = seen & (np.abs(heights_m) < max(_FINE * noise_m, _LOWEST_M))
     limit_m = _limit(median_m, on)
-    off = np.abs(median_m) > limit_m
+    off = (np.abs(median_m) > limit_m) | (np.abs(heights_m) > max(_SINGLE * noise_m, limit_m))
     rest = (seen & ~off).astype(np.float32)
     count = ndimage.uniform_filter(rest, _MEAN_PX)
     mean_m = ndimage.uniform_filter(rest * np.clip(heights_m, -limit_m, limit_m), _MEAN_PX) / np.maximum(count, 1e-3)
@@ -120,13 +129,13 @@ def _surroundings(part: Mask) -> Mask:
     return around
 
 
-def _continues(on: Mask, part: Mask) -> bool:
-    """Whether the returns of a plane continue beyond a part of the frame along a fifth of its rim."""
+def _rim_share(on: Mask, part: Mask) -> float:
+    """The share of a part's rim along which the returns of a plane continue beyond it."""
     square = np.ones((2 * _RIM_PX + 1,) * 2)
     rim = part & ~ndimage.binary_erosion(part, square)  # the end of the frame is a rim, too
     beyond = np.pad(on & ~part, _RIM_PX, constant_values=True)
     beyond = ndimage.binary_dilation(beyond, square)[_RIM_PX:-_RIM_PX, _RIM_PX:-_RIM_PX]
-    return bool(np.count_nonzero(rim & on & beyond) >= _RIM_SHARE * np.count_nonzero(rim))
+    return np.count_nonzero(rim & on & beyond) / np.count_nonzero(rim)
 
 
 def _largest_plane(points_m: Float[np.ndarray, "n 3"], rng: np.random.Generator) -> Plane | None:

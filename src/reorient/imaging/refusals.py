@@ -14,7 +14,7 @@ from reorient.imaging.planes import Plane
 Mask = Bool[np.ndarray, "height width"]
 
 ISOLATED_BELOW = 0.6  # an isolated object fills at most this share of the image
-_HELD = 0.4  # share of what was kept that a plane may hold, if it continues beyond it
+_HELD, _HELD_BY_NARROW = 0.4, 0.6  # share of the object that a plane may hold which continues beyond it
 _CUT_SHARE, _CUT_PX = 0.05, 6  # of the outline may continue beyond the limits, or this many pixels
 _STEP_M = 0.006  # in depth between neighbours, up to which a surface continues; more where it is seen at an angle
 _CROSS = ndimage.generate_binary_structure(2, 1)
@@ -48,11 +48,12 @@ def refuse_held_by_plane(image: DepthImage, mask: Mask, planes: Sequence[Plane])
     points_m = _points(image, mask)
     for plane in planes:
         share = float(np.mean(plane.holds(points_m)))
-        if share > _HELD:
+        if share > (_HELD if plane.is_wide else _HELD_BY_NARROW):
+            cure = "add --remove-plane" if plane.is_wide else "choose the object with --box, --far or --around"
             raise ReorientError(
                 f"{share:.0%} of what is left lies on a plane that continues beyond it (a table or a wall, "
-                f"{_distance(image, mask)}): add --remove-plane, or give a --mask of the object or the --background "
-                "without it (--allow-touching keeps it)"
+                f"{_distance(image, mask)}): {cure}, or give a --mask of the object or the --background without it "
+                "(--allow-touching keeps it)"
             )
 
 

@@ -16,26 +16,28 @@ _BESIDE_PX = 2  # pixels without return within this distance of the object are n
 _SQUARE = np.ones((3, 3), bool)
 
 
-def unknown_beside(image: DepthImage, mask: Mask, inside: Mask | None = None) -> Mask:
+def unknown_beside(image: DepthImage, mask: Mask, candidates: Mask, inside: Mask | None = None) -> Mask:
     """The unknown pixels of a frame of which ``mask`` shows the object.
 
+    ``candidates``: returns of which the mask is a part; others of them next to the object are unknown (flying pixels).
     ``inside``: the pixels of the object by the user's own mask; without return they are unknown. Connected pixels
     without return that touch the object are unknown unless they reach the end of the frame and are more than the
     object: background out of range. Where a frame has unknown pixels and others without depth, the unknown ones stay.
     """
     empty = ~image.valid & ~image.unknown
     lost = image.unknown if empty.any() and image.unknown.any() else np.zeros_like(mask)
-    unknown = lost | _lost_beside(~image.valid, mask) | _before(image, mask)
+    beside = ndimage.binary_dilation(mask, _SQUARE, _BESIDE_PX) & ~mask
+    unknown = lost | (candidates & beside) | _lost_beside(~image.valid, mask, beside) | _before(image, mask)
     if inside is not None:
         unknown |= inside & ~image.valid
     return np.asarray(unknown)
 
 
-def _lost_beside(missing: Mask, mask: Mask) -> Mask:
+def _lost_beside(missing: Mask, mask: Mask, beside: Mask) -> Mask:
     """The components of pixels without return that touch the object, without background out of range."""
     labels, count = ndimage.label(missing, _SQUARE)
     touches = np.zeros(count + 1, bool)
-    touches[np.unique(labels[ndimage.binary_dilation(mask, _SQUARE, _BESIDE_PX)])] = True
+    touches[np.unique(labels[beside])] = True
     ends = np.zeros(count + 1, bool)
     ends[np.unique(np.concatenate([labels[[0, -1]].ravel(), labels[:, [0, -1]].ravel()]))] = True
     background = ends & (np.bincount(labels.ravel(), minlength=count + 1) > np.count_nonzero(mask))
