@@ -135,7 +135,9 @@ def drawn(name: str, rng: Generator, source: Any, noise_m: float) -> Bench:
     while True:
         mesh = lying(source.load(source.names[int(rng.integers(len(source.names)))]), rng, 0.11)
         if name.startswith("low"):
-            mesh = block((-0.045, -0.03, 0.0), (0.045, 0.02, 0.006)).union(block((0.02, -0.03, 0.0), (0.045, 0.04, 0.006)))
+            mesh = block((-0.045, -0.03, 0.0), (0.045, 0.02, 0.006)).union(
+                block((0.02, -0.03, 0.0), (0.045, 0.04, 0.006))
+            )
         elif np.ptp(mesh.bounds[:, 2]) < 0.02:
             continue
         rest: list[trimesh.Trimesh] = [block((-0.3, -0.4, -0.03), (0.3, 0.25, 0.0)) if "edge" in name else table()]
@@ -179,7 +181,11 @@ def main(config: BenchScenes) -> None:
             rng = np.random.default_rng([*name.encode(), draw])
             bench = drawn(name, rng, source, config.noise_mm / 1000)
             options, mask = FRAMES[name](bench)
-            row = {"frame": name, "draw": draw, "options": " ".join([*options, *(["mask"] if mask is not None else [])])}
+            row: dict[str, Any] = {
+                "frame": name,
+                "draw": draw,
+                "options": " ".join([*options, *(["mask"] if mask is not None else [])]),
+            }
             try:
                 isolated = Isolation(**options)(bench.frame, mask)
                 row |= {"iou": f"{iou(isolated.valid, bench.returned):.4f}", "refusal": ""}

@@ -98,7 +98,10 @@ def drawn(rng: np.random.Generator, mesh: trimesh.Trimesh) -> tuple[trimesh.Trim
         (now, now_owner), (goal, goal_owner) = (scene.capture(rng, noise_m) for scene in scenes)
         seen = now_owner == 1, goal_owner == 1
         height_mm = 1000 * float(np.ptp(lain.bounds[:, 2]))
-        if height_mm < 5 or min(np.count_nonzero(x.valid & s) for x, s in zip((now, goal), seen, strict=True)) < FEWEST_PX:
+        if (
+            height_mm < 5
+            or min(np.count_nonzero(x.valid & s) for x, s in zip((now, goal), seen, strict=True)) < FEWEST_PX
+        ):
             continue
         empty, _ = Scene((table(),), T).capture(rng, noise_m)
         R = T[:3, :3]
@@ -139,7 +142,7 @@ def measured(pair: TablePair, ways: list[tuple[Isolation, Any]], estimator: Esti
         cells["isolation_s"] = f"{time.process_time() - begin:.3f}"
         for name, image, frame, seen in zip(("now", "goal"), images, pair.frames, pair.seen, strict=True):
             cells[f"iou_{name}"] = f"{iou(image.valid, seen & frame.valid):.4f}"
-        estimate = estimator.estimate(*images)
+        estimate = estimator.estimate(images[0], images[1])
     except ReorientError as error:
         return cells | {"refusal": str(error)}
     return cells | {"R": estimate.R_goal_current, "confidence": f"{estimate.confidence or 0:.4f}"}

@@ -27,7 +27,8 @@ class Scene:
 
     def capture(self, rng: Generator, noise_m: float) -> tuple[DepthImage, Int[np.ndarray, "h w"]]:
         """A raw frame and the index of the mesh that each pixel shows; -1: none."""
-        mesh = trimesh.util.concatenate([each.copy().apply_transform(self.T_camera_world) for each in self.meshes])
+        parts = [each.copy().apply_transform(self.T_camera_world) for each in self.meshes]
+        mesh: trimesh.Trimesh = trimesh.util.concatenate(parts)
         placement = Placement(1.0, mesh.bounds.mean(axis=0))
         renderer = Renderer(mesh, every_pixel=True)
         face = renderer.faces(CAMERA, np.eye(3), placement)
@@ -59,7 +60,8 @@ def table(size_m: float = 3.0) -> trimesh.Trimesh:
 
 
 def block(low: Sequence[float], high: Sequence[float]) -> trimesh.Trimesh:
-    return trimesh.creation.box(bounds=[low, high])
+    mesh: trimesh.Trimesh = trimesh.creation.box(bounds=[low, high])
+    return mesh
 
 
 def lying(mesh: trimesh.Trimesh, rng: Generator, diagonal_m: float) -> trimesh.Trimesh:
@@ -70,7 +72,8 @@ def lying(mesh: trimesh.Trimesh, rng: Generator, diagonal_m: float) -> trimesh.T
     mesh.apply_transform(trimesh.geometry.align_vectors(normal, [0, 0, -1]))
     mesh.apply_transform(spin(rng.uniform(0, 2 * np.pi)))
     middle = mesh.bounds.mean(axis=0)
-    return mesh.apply_translation([-middle[0], -middle[1], -mesh.bounds[0, 2]])
+    mesh.apply_translation([-middle[0], -middle[1], -mesh.bounds[0, 2]])
+    return mesh
 
 
 def spin(angle_rad: float, shift_m: Sequence[float] = (0.0, 0.0, 0.0)) -> Float[np.ndarray, "4 4"]:

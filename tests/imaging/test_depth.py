@@ -7,7 +7,7 @@ import pytest
 
 from reorient.errors import ReorientError
 from reorient.imaging import Camera, DepthImage, isolate
-from reorient.imaging.isolation import require_isolated
+from reorient.imaging.refusals import require_isolated
 
 
 @pytest.fixture

@@ -7,17 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Shaped
-from scipy import ndimage
+from jaxtyping import Shaped
 
 from reorient.errors import ReorientError
-from reorient.imaging.clusters import object_clusters
+from reorient.imaging.connected import object_clusters
 from reorient.imaging.depth_image import DepthImage
+from reorient.imaging.masks import Mask
 from reorient.imaging.planes import above, continuing_planes, off_surface
 from reorient.imaging.refusals import refuse_cut, refuse_held_by_plane, refuse_second_object, require_isolated
 from reorient.imaging.unknown import unknown_beside
-
-Mask = Bool[np.ndarray, "height width"]
 
 _EVERYTHING = 0.95  # share of the frame above which a mask selects nothing
 _CHANGED_M = 0.02  # differences to the empty frame up to this are noise or low objects, from which the noise is found
@@ -87,13 +85,13 @@ class Isolation:
         if self.background is not None:
             kept &= _changed(image, self._empty_frame(image), chosen)
             _require(kept, "no returns differ from the background: expected an object that the empty frame lacks")
-        found = object_clusters(image, kept)
+        found = object_clusters(image, kept, trusted=mask is not None)
         object_mask = found.mask
         if self.allow_touching:
             object_mask = object_mask if found.other is None else object_mask | found.other
         else:
             refuse_second_object(image, found)
-            refuse_held_by_plane(image, object_mask, planes)
+            refuse_held_by_plane(image, object_mask, planes, trusted=mask is not None)
             refuse_cut(image, object_mask, part)
         unknown = unknown_beside(image, object_mask, kept, None if mask is None else inside)
         isolated = replace(image, depth_m=np.where(object_mask, image.depth_m, np.float32(0)), unknown=unknown)
@@ -152,7 +150,8 @@ def _changed(image: DepthImage, empty: DepthImage, part: Mask) -> Mask:
     both = image.valid & empty.valid
     unchanged_m = np.abs(nearer_m[both & part & (np.abs(nearer_m) < _CHANGED_M)])
     noise_m = float(np.median(unchanged_m)) / 0.6745 if unchanged_m.size else 0.0
-    return (off_surface(nearer_m, both, part, noise_m) & (nearer_m > 0)) | (image.valid & ~empty.valid)
+    nearer = off_surface(nearer_m, both, part, noise_m) & (nearer_m > 0)
+    return np.asarray(nearer | (image.valid & ~empty.valid))
 
 
 def _require(kept: Mask, message: str) -> None:

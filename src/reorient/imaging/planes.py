@@ -7,8 +7,7 @@ from jaxtyping import Bool, Float
 from scipy import ndimage
 
 from reorient.imaging.depth_image import DepthImage
-
-Mask = Bool[np.ndarray, "height width"]
+from reorient.imaging.masks import Mask, longer_side, window
 
 _SAMPLE = 3000  # returns that vote for a plane
 _TRIPLES = 600  # planes through three returns each: one of 20% of the returns is missed in 1% of the cases
@@ -54,7 +53,8 @@ def continuing_planes(image: DepthImage, part: Mask) -> list[Plane]:
     """The planes that hold returns of a part of a frame and continue beyond it, those with most returns first.
 
     A plane continues if it holds returns along the part's rim, and beyond the rim as well, or reaches the end of the
-    frame there. So the sides of an object within the part do not count. Planes are found by RANSAC (Fischler and Bolles 1981) around the part, and refined by least squares. Deterministic.
+    frame there. So the sides of an object within the part do not count. Planes are found by RANSAC (Fischler and Bolles
+    1981) around the part, and refined by least squares. Deterministic.
     """
     rays, rng = image.camera.rays(), np.random.default_rng(0)
     points_m = rays * image.depth_m[..., None]
@@ -90,8 +90,8 @@ def off_surface(heights_m: Float[np.ndarray, "height width"], valid: Mask, part:
     noise themselves: thin parts. Then those connected to them whose mean over 9 x 9 of the remaining pixels is off: the
     foot of an object, and low parts beside high ones.
     """
-    window = _window(part, 2 * _MEAN_PX)
-    heights_m, seen = heights_m[window].astype(np.float32), valid[window]
+    near = window(part, 2 * _MEAN_PX)
+    heights_m, seen = heights_m[near].astype(np.float32), valid[near]
     nearest = ndimage.distance_transform_edt(~seen, return_distances=False, return_indices=True)
     median_m = ndimage.median_filter(heights_m[tuple(nearest)], _MEDIAN_PX, mode="nearest")
     on = seen & (np.abs(heights_m) < max(_FINE * noise_m, _LOWEST_M))
@@ -102,7 +102,7 @@ def off_surface(heights_m: Float[np.ndarray, "height width"], valid: Mask, part:
     mean_m = ndimage.uniform_filter(rest * np.clip(heights_m, -limit_m, limit_m), _MEAN_PX) / np.maximum(count, 1e-3)
     off = ndimage.binary_propagation(off, mask=off | (mean_m > _limit(mean_m, on & ~off)))
     result = np.zeros_like(part)
-    result[window] = off & seen & part[window]
+    result[near] = off & seen & part[near]
     return result
 
 
@@ -112,20 +112,10 @@ def _limit(smooth_m: Float[np.ndarray, "height width"], on: Mask) -> float:
     return float(np.clip(_ABOVE_NOISE * noise_m, _LOWEST_M, _HIGHEST_M))
 
 
-def _window(part: Mask, margin_px: int) -> tuple[slice, slice]:
-    """The rows and columns of a mask's bounding box with a margin, within the frame."""
-    rows, columns = (np.flatnonzero(part.any(axis=axis)) for axis in (1, 0))
-    return (
-        slice(max(int(rows[0]) - margin_px, 0), int(rows[-1]) + margin_px + 1),
-        slice(max(int(columns[0]) - margin_px, 0), int(columns[-1]) + margin_px + 1),
-    )
-
-
 def _surroundings(part: Mask) -> Mask:
     """The bounding box of a part, extended by a quarter of its longer side."""
-    rows, columns = _window(part, 0)
     around = np.zeros_like(part)
-    around[_window(part, max(rows.stop - rows.start, columns.stop - columns.start) // 4)] = True
+    around[window(part, longer_side(window(part)) // 4)] = True
     return around
 
 

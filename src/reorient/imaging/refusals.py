@@ -3,18 +3,18 @@
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy import ndimage
 
 from reorient.errors import ReorientError
-from reorient.imaging.clusters import ObjectClusters
+from reorient.imaging.connected import ObjectClusters
 from reorient.imaging.depth_image import DepthImage
+from reorient.imaging.masks import Mask
 from reorient.imaging.planes import Plane
-
-Mask = Bool[np.ndarray, "height width"]
 
 ISOLATED_BELOW = 0.6  # an isolated object fills at most this share of the image
 _HELD, _HELD_BY_NARROW = 0.4, 0.6  # share of the object that a plane may hold which continues beyond it
+_AROUND = 0.6  # of the rim of a mask along which a plane continues that a mask of the object alone does not have
 _CUT_SHARE, _CUT_PX = 0.05, 6  # of the outline may continue beyond the limits, or this many pixels
 _STEP_M = 0.006  # in depth between neighbours, up to which a surface continues; more where it is seen at an angle
 _CROSS = ndimage.generate_binary_structure(2, 1)
@@ -43,10 +43,16 @@ def refuse_second_object(image: DepthImage, found: ObjectClusters) -> None:
         )
 
 
-def refuse_held_by_plane(image: DepthImage, mask: Mask, planes: Sequence[Plane]) -> None:
-    """Raise ReorientError where one plane that continues beyond what was chosen holds most of the object."""
+def refuse_held_by_plane(image: DepthImage, mask: Mask, planes: Sequence[Plane], trusted: bool) -> None:
+    """Raise ReorientError where one plane that continues beyond what was chosen holds most of the object.
+
+    ``trusted``: the user's own mask is given. The foot of a low object is in the table's plane then, along a part of
+    the mask's rim; a mask with much of the table has it along nearly all of the rim.
+    """
     points_m = _points(image, mask)
     for plane in planes:
+        if trusted and plane.rim_share < _AROUND:
+            continue
         share = float(np.mean(plane.holds(points_m)))
         if share > (_HELD if plane.is_wide else _HELD_BY_NARROW):
             cure = "add --remove-plane" if plane.is_wide else "choose the object with --box, --far or --around"

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from reorient.imaging.clusters import size_m
+from reorient.imaging.connected import size_m
 from reorient.imaging.depth_image import DepthImage
 
 _LARGEST_RATIO = 1.5  # of the sizes in current and goal image
@@ -30,7 +30,7 @@ class Summary:
         points_m = image.points()
         ends = [image.valid[0], image.valid[-1], image.valid[:, 0], image.valid[:, -1]]
         first, second, third = (float(x) for x in size_m(points_m))
-        touches = max(np.count_nonzero(end) for end in ends) >= _FEWEST_PX
+        touches = bool(max(np.count_nonzero(end) for end in ends) >= _FEWEST_PX)
         return cls((first, second, third), float(np.median(points_m[:, 2])), len(points_m), touches)
 
     def __str__(self) -> str:
@@ -48,7 +48,7 @@ def pair_warnings(current: Summary, goal: Summary) -> list[str]:
     sizes_mm = [1000 * float(np.linalg.norm(summary.size_m)) for summary in (current, goal)]
     if max(sizes_mm) > _LARGEST_RATIO * min(sizes_mm):
         warnings.append(
-            f"the object measures {sizes_mm[0]:.0f} mm in the current image and {sizes_mm[1]:.0f} mm in the goal image: "
-            "is it the same object, completely isolated? (--show-input)"
+            f"the object measures {sizes_mm[0]:.0f} mm in the current image, {sizes_mm[1]:.0f} mm in the goal image: is it "
+            "the same object, and isolated completely? (--show-input)"
         )
     return warnings

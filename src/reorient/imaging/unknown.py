@@ -1,13 +1,11 @@
 """Pixels beside an isolated object that may hide or miss a part of it."""
 
 import numpy as np
-from jaxtyping import Bool
 from scipy import ndimage
 
-from reorient.imaging.clusters import clusters
+from reorient.imaging.connected import clusters
 from reorient.imaging.depth_image import DepthImage
-
-Mask = Bool[np.ndarray, "height width"]
+from reorient.imaging.masks import Mask, longer_side, window
 
 _NEARER_M = 0.005  # a removed return this much in front of the object's nearest one may hide it,
 _STEP_M, _STEP_PX = 0.008, 4  # if it belongs to a surface with such a step in depth within this distance of the object,
@@ -47,13 +45,20 @@ def _lost_beside(missing: Mask, mask: Mask, beside: Mask) -> Mask:
 
 
 def _before(image: DepthImage, mask: Mask) -> Mask:
-    """The removed returns in front of the object, such as of fingers, by the object's nearest return in the image."""
-    distances_px, nearest = ndimage.distance_transform_edt(~mask, return_indices=True)
-    nearer_m = image.depth_m[tuple(nearest)] - image.depth_m
-    before = image.valid & ~mask & (nearer_m > _NEARER_M)
+    """The removed returns in front of the object, such as of fingers, by the object's nearest return in the image.
+
+    Only within the object's size around it.
+    """
+    before = np.zeros_like(mask)
+    near = window(mask, longer_side(window(mask)))
+    distances_px, nearest = ndimage.distance_transform_edt(~mask[near], return_indices=True)
+    depth_m = image.depth_m[near]
+    nearer_m = depth_m[tuple(nearest)] - depth_m
+    before[near] = (depth_m > 0) & ~mask[near] & (nearer_m > _NEARER_M)
     if not before.any():
         return before
-    pitch_m = image.depth_m / image.camera.fx
-    step = before & (distances_px <= _STEP_PX) & (nearer_m > _STEP_M + 2 * pitch_m * distances_px)
+    step_m = _STEP_M + 2 * distances_px * depth_m / image.camera.fx
     labels = clusters(image, before)
-    return before & (np.bincount(labels[step], minlength=int(labels.max()) + 1) >= _FEWEST)[labels]
+    step = before[near] & (distances_px <= _STEP_PX) & (nearer_m > step_m)
+    steps = np.bincount(labels[near][step], minlength=int(labels.max()) + 1)
+    return np.asarray(before & (steps >= _FEWEST)[labels])

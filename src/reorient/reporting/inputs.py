@@ -41,7 +41,9 @@ def _column(title: str, raw: DepthImage, isolated: DepthImage) -> Image.Image:
     half = (0.5 + _MARGIN) * max(np.ptp(rows), np.ptp(columns)) + 4
     middle = (rows.min() + rows.max()) / 2, (columns.min() + columns.max()) / 2
     window = (middle[1] - half, middle[0] - half * 0.75, middle[1] + half, middle[0] + half * 0.75)
-    near = whole.crop(tuple(round(x) for x in window)).resize((_WIDTH_PX, round(_WIDTH_PX * 0.75)), Image.Resampling.NEAREST)
+    near = whole.crop(tuple(round(x) for x in window)).resize(
+        (_WIDTH_PX, round(_WIDTH_PX * 0.75)), Image.Resampling.NEAREST
+    )
     whole = whole.resize((_WIDTH_PX, round(_WIDTH_PX * whole.height / whole.width)), Image.Resampling.NEAREST)
     column = Image.new("RGB", (_WIDTH_PX, _LINE_PX + whole.height + _GAP_PX + near.height), BACKGROUND)
     ImageDraw.Draw(column).text((4, 4), f"{title}: {Summary.of(isolated)}", INK, ImageFont.load_default(15))
@@ -59,4 +61,4 @@ def _coloured(raw: DepthImage, isolated: DepthImage) -> UInt8[np.ndarray, "heigh
     kept = isolated.valid
     colours[kept] = np.array(KEPT) * (1.4 - 0.9 * share[kept, None])
     colours[isolated.unknown] = np.array(UNKNOWN) * (0.6 + 0.4 * ~raw.valid[isolated.unknown, None])
-    return np.clip(colours, 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(colours, 0, 255).astype(np.uint8))
