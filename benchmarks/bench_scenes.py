@@ -70,7 +70,7 @@ class Bench:
 
     @property
     def returned(self) -> Bool[np.ndarray, "h w"]:
-        return self.seen & self.frame.valid
+        return np.asarray(self.seen & self.frame.valid)
 
 
 WALLS = (block((-1.5, 0.35, 0.0), (1.5, 0.4, 1.2)), block((-0.6, -1.5, 0.0), (-0.55, 1.5, 1.2)))

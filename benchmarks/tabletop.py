@@ -28,7 +28,9 @@ class Scene:
     def capture(self, rng: Generator, noise_m: float) -> tuple[DepthImage, Int[np.ndarray, "h w"]]:
         """A raw frame and the index of the mesh that each pixel shows; -1: none."""
         parts = [each.copy().apply_transform(self.T_camera_world) for each in self.meshes]
-        mesh: trimesh.Trimesh = trimesh.util.concatenate(parts)
+        mesh = trimesh.Trimesh(
+            *trimesh.util.append_faces([p.vertices for p in parts], [p.faces for p in parts]), process=False
+        )
         placement = Placement(1.0, mesh.bounds.mean(axis=0))
         renderer = Renderer(mesh, every_pixel=True)
         face = renderer.faces(CAMERA, np.eye(3), placement)

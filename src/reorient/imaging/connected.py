@@ -58,14 +58,13 @@ def object_clusters(image: DepthImage, part: Mask, trusted: bool = False) -> Obj
     labels = clusters(image, part)
     sizes = np.bincount(labels.ravel())
     sizes[0] = 0
-    own, rest = [int(np.argmax(sizes))], []
+    own = joined = [int(np.argmax(sizes))]
     rest = [i for i in np.argsort(-sizes) if i != own[0] and sizes[i] >= max(_FEWEST, _SPECK * sizes.max())]
-    joined = True
     while joined and rest:  # a part may be near another part only
         mask = np.isin(labels, own)
         gap = _Gap(image, mask)
         joined = [i for i in rest if gap.is_small(labels == i)]
-        own += joined
+        own = own + joined
         rest = [i for i in rest if i not in joined]
     mask = np.isin(labels, own)
     similar = [i for i in rest if sizes[i] >= _SIMILAR * np.count_nonzero(mask)]

@@ -67,19 +67,22 @@ class Isolation:
         """The image of the object alone.
 
         ``mask``: not zero on the object. Removed returns in front of the object, and pixels without return inside it or
-        next to it, become unknown; all others are not the object. Without mask and fields the image is returned as it
-        is. Raises ReorientError where nothing is left, for a mask of another size, and where what is left is no
+        next to it, become unknown; all others are not the object. Without mask and fields all returns are kept. Raises ReorientError where nothing is left, for a mask of another size, and where what is left is no
         isolated object: it continues beyond what was chosen, a plane that continues holds most of it, or it is two.
         """
         if mask is None and self == Isolation():
-            return require_isolated(image)
+            raw = _is_raw(image)
+            return require_isolated(
+                replace(image, unknown=unknown_beside(image, image.valid, image.valid)) if raw else image
+            )
         inside = np.ones(image.valid.shape, bool) if mask is None else _checked_mask(mask, image)
         part = self._part(image, inside)
         chosen = part & inside
         planes = continuing_planes(image, chosen)
+        wide, narrow = ([plane for plane in planes if plane.is_wide == is_wide] for is_wide in (True, False))
         kept = chosen & image.valid
         if self.remove_plane:
-            for plane in filter(lambda plane: plane.is_wide, planes):
+            for plane in wide:
                 kept &= above(image, chosen, plane)
             _require(kept, "no returns are left beside the removed planes: expected an object at least 5 mm high")
         if self.background is not None:
@@ -91,8 +94,9 @@ class Isolation:
             object_mask = object_mask if found.other is None else object_mask | found.other
         else:
             refuse_second_object(image, found)
-            refuse_held_by_plane(image, object_mask, planes, trusted=mask is not None)
+            refuse_held_by_plane(image, object_mask, wide, trusted=mask is not None)
             refuse_cut(image, object_mask, part)
+            refuse_held_by_plane(image, object_mask, narrow, trusted=mask is not None)
         unknown = unknown_beside(image, object_mask, kept, None if mask is None else inside)
         isolated = replace(image, depth_m=np.where(object_mask, image.depth_m, np.float32(0)), unknown=unknown)
         return require_isolated(isolated)
@@ -142,6 +146,11 @@ class Isolation:
 def isolate(image: DepthImage, mask: Shaped[np.ndarray, "height width"] | None = None, **fields: Any) -> DepthImage:
     """``Isolation(**fields)(image, mask)``: the image of one object, isolated once."""
     return Isolation(**fields)(image, mask)
+
+
+def _is_raw(image: DepthImage) -> bool:
+    """Whether every pixel is a return or unknown, so that background out of range is not distinguished."""
+    return bool(np.all(image.valid | image.unknown))
 
 
 def _changed(image: DepthImage, empty: DepthImage, part: Mask) -> Mask:

@@ -17,4 +17,5 @@ def window(mask: Mask, margin_px: int = 0) -> tuple[slice, slice]:
 
 def longer_side(part: tuple[slice, slice]) -> int:
     """Pixels along the longer side of a window."""
-    return max(line.stop - line.start for line in part)
+    rows, columns = part
+    return int(max(rows.stop - rows.start, columns.stop - columns.start))

@@ -38,7 +38,7 @@ class Plane:
     @property
     def is_wide(self) -> bool:
         """Whether it can be removed: another part next to the object may have a plane that continues, too."""
-        return self.rim_share >= _WIDE
+        return bool(self.rim_share >= _WIDE)
 
     def height(self, points_m: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n"]:
         """Distance of points from the plane, metres, positive on the side of the camera."""
@@ -120,12 +120,13 @@ def _surroundings(part: Mask) -> Mask:
 
 
 def _rim_share(on: Mask, part: Mask) -> float:
-    """The share of a part's rim along which the returns of a plane continue beyond it."""
+    """The share of a part's rim along which the returns of a plane continue beyond it, densely, not as outliers."""
+    on = on & (ndimage.uniform_filter(on.astype(np.float32), _MEDIAN_PX) > 0.5)
     square = np.ones((2 * _RIM_PX + 1,) * 2)
     rim = part & ~ndimage.binary_erosion(part, square)  # the end of the frame is a rim, too
     beyond = np.pad(on & ~part, _RIM_PX, constant_values=True)
     beyond = ndimage.binary_dilation(beyond, square)[_RIM_PX:-_RIM_PX, _RIM_PX:-_RIM_PX]
-    return np.count_nonzero(rim & on & beyond) / np.count_nonzero(rim)
+    return float(np.count_nonzero(rim & on & beyond) / np.count_nonzero(rim))
 
 
 def _largest_plane(points_m: Float[np.ndarray, "n 3"], rng: np.random.Generator) -> Plane | None:

@@ -48,7 +48,7 @@ def pair_warnings(current: Summary, goal: Summary) -> list[str]:
     sizes_mm = [1000 * float(np.linalg.norm(summary.size_m)) for summary in (current, goal)]
     if max(sizes_mm) > _LARGEST_RATIO * min(sizes_mm):
         warnings.append(
-            f"the object measures {sizes_mm[0]:.0f} mm in the current image, {sizes_mm[1]:.0f} mm in the goal image: is it "
-            "the same object, and isolated completely? (--show-input)"
+            f"the object measures {sizes_mm[0]:.0f} mm in the current image and {sizes_mm[1]:.0f} mm in the goal "
+            "image: is it the same object, and isolated completely? (--show-input)"
         )
     return warnings
