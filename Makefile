@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo demo-cell test test-train test-cell test-peers lint clean
+.PHONY: demo demo-cell test test-train test-cell test-peers test-robot lint clean
 
 demo: .venv/base
 	$(BIN)/reorient demo --out out/demo
@@ -22,6 +22,9 @@ test-cell: .venv/cell
 test-peers: .venv/peers
 	$(BIN)/pytest tests/peers
 
+test-robot: .venv/robot/ready
+	.venv/robot/bin/pytest tests/robot
+
 lint: .venv/dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -40,6 +43,13 @@ EXTRAS_peers := dev,peers
 
 .venv/%: .venv/base
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[$(EXTRAS_$*)]'
+	touch $@
+
+# An environment of its own: the wheels of ROS start each Python of theirs anew, with another library path.
+.venv/robot/ready: pyproject.toml
+	$(PYTHON) -m venv $(@D)
+	$(@D)/bin/python -m pip install --quiet --disable-pip-version-check \
+		--editable '.[dev,realsense,franka,franka-sim,ur,abb,ros2]'
 	touch $@
 
 clean:

@@ -1,4 +1,4 @@
-"""User classes, named on the command line as ``my_module:MyClass``."""
+"""User classes, named on the command line as ``my_module:MyClass``, and the libraries of the extras."""
 
 import importlib
 import sys
@@ -33,3 +33,11 @@ def make_own(kind: str, name: str) -> object:
 
 def _refused(kind: str, name: str, error: Exception) -> ReorientError:
     return ReorientError(f"cannot make {kind} {name!r} ({type(error).__name__}: {error}): expected an importable class")
+
+
+def import_extra(module: str, extra: str) -> Any:
+    """The library ``module``, which an extra of this package installs. Raises ReorientError where it is missing."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise ReorientError(f"cannot import {module} ({error}): expected `pip install 'reorient[{extra}]'`") from error

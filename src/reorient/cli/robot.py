@@ -9,7 +9,8 @@ import numpy as np
 
 from reorient import __version__
 from reorient.cli.arguments import Positional
-from reorient.cli.estimating import GoalFrame, confidence_in_words
+from reorient.cli.estimating import confidence_in_words
+from reorient.cli.isolating import GoalFrame
 from reorient.cli.stations import StationChoice
 from reorient.errors import ReorientError, check_range
 from reorient.runs.files import make_folder
@@ -123,7 +124,7 @@ class Orient:
         from reorient.stations.replay import RecordingStation
 
         strategy, limits = self.strategy_choice.load(), self.limit_choice.limits()
-        goal, estimator = self.frames.read(self.goal, goal=True), load_estimator(self.estimator)
+        goal, estimator = self.frames.read(self.goal, goal=True).isolated, load_estimator(self.estimator)
         if self.out is not None:
             make_folder(self.out)
         station = self.choice.open()

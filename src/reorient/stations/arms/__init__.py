@@ -1,0 +1,1 @@
+"""Drivers of robot arms, one file per vendor, on a common supervision of each move."""

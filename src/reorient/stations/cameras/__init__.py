@@ -1,0 +1,1 @@
+"""Drivers of depth cameras, one file per vendor."""
