@@ -2,6 +2,7 @@
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ import pytest
 from reorient import se3
 from reorient.cli import main
 
-MODULE = '''
+MODULE = """
 import numpy as np, trimesh
 from reorient.imaging import Camera
 from reorient.stations.simulated import SimulatedArm, SimulatedCamera, SimulatedCell
@@ -27,7 +28,7 @@ class MyCamera(SimulatedCamera):
 class MyArm(SimulatedArm):
     def __init__(self, start_deg: float = 0.0) -> None:
         super().__init__(CELL, start_deg)
-'''
+"""
 
 
 def run(capsys, *words):
@@ -47,11 +48,13 @@ def test_from_a_new_file_to_a_converged_loop(tmp_path, monkeypatch, capsys):
     monkeypatch.syspath_prepend(tmp_path)
     assert run(capsys, "new-robot") == (0, "robot.toml\n")
     assert run(capsys, "new-robot")[0] == 2
-    text = open("robot.toml").read()
-    text = re.sub(r'\[camera\]\ndriver = "simulated"', '[camera]\ndriver = "robot_of_mine:MyCamera"\nserial = "7"', text)
+    text = Path("robot.toml").read_text()
+    text = re.sub(
+        r'\[camera\]\ndriver = "simulated"', '[camera]\ndriver = "robot_of_mine:MyCamera"\nserial = "7"', text
+    )
     text = re.sub(r'\[arm\]\ndriver = "simulated"', '[arm]\ndriver = "robot_of_mine:MyArm"', text)
     text = text.replace("settle_s = 0.3", "settle_s = 0.0")
-    open("robot.toml", "w").write(text)
+    Path("robot.toml").write_text(text)
 
     code, out = run(capsys, "check", "robot.toml")
     assert code == 2
@@ -65,14 +68,14 @@ def test_from_a_new_file_to_a_converged_loop(tmp_path, monkeypatch, capsys):
     assert "passed" in out
 
     assert run(capsys, "capture", "goal.npz", "--station", "robot.toml")[0] == 0
-    open("robot.toml", "w").write(text.replace(':MyArm"', ':MyArm"\nstart_deg = 25.0'))
+    Path("robot.toml").write_text(text.replace(':MyArm"', ':MyArm"\nstart_deg = 25.0'))
     code, out = run(capsys, "orient", "goal.npz", "--station", "robot.toml", "--estimator", "gicp")
     assert code == 0, out
     assert "converged" in out
 
-    found = np.array(json.load(open("calibration.json"))["T_base_camera"])
+    found = np.array(json.loads(Path("calibration.json").read_text())["T_base_camera"])
     np.savetxt("inverse.txt", se3.inverse(found))
     code, out = run(capsys, "calibrate", "robot.toml", "--hand-eye", "inverse.txt", "--estimator", "gicp")
     assert code == 0, out
     assert "inverted" in out
-    assert np.allclose(json.load(open("calibration.json"))["T_base_camera"], found)
+    assert np.allclose(json.loads(Path("calibration.json").read_text())["T_base_camera"], found)

@@ -89,7 +89,7 @@ class Check:
 
     robot: Positional[Path]
     """File that ``reorient new-robot`` wrote."""
-    estimator: str = "default"
+    estimator: str = "fast"
     """Estimator of the rotations, as of ``reorient orient``."""
 
     def run(self) -> int:

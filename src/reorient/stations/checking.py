@@ -61,7 +61,8 @@ def check(
 ) -> Check:
     """Move the held object by 5 degrees about three axes, either way, and by 4 cm along them, and compare.
 
-    The arm ends in its present pose. ``isolate`` must not depend on the calibration. Raises ReorientError where the arm
+    The arm ends in its present pose. ``isolate`` must not depend on the calibration. ``estimator`` None: ``fast``, as
+    the motions are small. Raises ReorientError where the arm
     can make no such motions.
     """
     arm = arm if isinstance(arm, GuardedArm) else GuardedArm(arm, p_tool_object_m=calibration.p_tool_object_m)
@@ -76,7 +77,7 @@ def check(
         return Check("nothing held", f"nothing held, or out of view: {error}")
     if all(np.array_equal(view.image.depth_m, views[0].image.depth_m) for view in views[1:]):
         return Check("stale frames", "stale frames: all frames are identical; the camera repeats one frame")
-    return diagnose(views, calibration, estimator or load_estimator())
+    return diagnose(views, calibration, estimator or load_estimator("fast"))
 
 
 class _Empty(ReorientError):
