@@ -238,3 +238,15 @@ def test_the_block_of_the_readme_runs():
     exec(block, names)
     assert np.degrees(so3.angle_difference(names["estimate"].R_goal_current, R.T)) < 5
     assert names["result"].converged
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_the_block_of_the_robot_page_runs(monkeypatch):
+    (block,) = fenced((ROOT / "docs" / "robot.md").read_text(), "python")
+    monkeypatch.setattr("time.sleep", lambda seconds: None)
+    names: dict[str, object] = {}
+    exec(block, names)
+    cell = names["sdk_arm"].cell
+    found = names["calibration"].T_base_camera[:3, :3]
+    assert np.degrees(so3.angle_difference(found, cell.T_base_camera[:3, :3])) < 1
+    assert names["result"].converged

@@ -53,7 +53,7 @@ def test_from_a_new_file_to_a_converged_loop(tmp_path, monkeypatch, capsys):
         r'\[camera\]\ndriver = "simulated"', '[camera]\ndriver = "robot_of_mine:MyCamera"\nserial = "7"', text
     )
     text = re.sub(r'\[arm\]\ndriver = "simulated"', '[arm]\ndriver = "robot_of_mine:MyArm"', text)
-    text = text.replace("settle_s = 0.3", "settle_s = 0.0")
+    text = text.replace("settle_s = 0.15", "settle_s = 0.0")
     Path("robot.toml").write_text(text)
 
     code, out = run(capsys, "check", "robot.toml")

@@ -37,7 +37,6 @@ class MistakenArm:
     def move_to(self, T_base_tool: Transform) -> Transform:
         """Move to a stated pose, and thus somewhere else."""
         self._arm.cell.T_base_tool = self._true(T_base_tool)
-        self._arm.cell.time_s += 0.1
         self._stated = np.array(T_base_tool)
         return self._stated
 

@@ -48,7 +48,7 @@ point_m = [0.0, 0.0, 0.0]           # about where the object is held, in tool ax
 # box_low_m = [0.2, -0.4, 0.1]      # workspace: the tool and the object stay inside, base axes
 # box_high_m = [0.7, 0.4, 0.8]
 max_step_deg = 30.0                 # larger rotations are made in parts
-settle_s = 0.3                      # pause between the end of a move and the next frame
+settle_s = 0.15                     # pause between the end of a move and the next frame
 """
 
 
