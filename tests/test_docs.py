@@ -17,6 +17,8 @@ import pytest
 
 from reorient import so3
 from reorient.cli import main
+from reorient.estimators import load_estimator
+from reorient.imaging import Camera
 from reorient.stations.rendered import RenderedStation
 from reorient.world.objects import generated
 from reorient.world.rendering import load_world
@@ -244,6 +246,9 @@ def test_the_block_of_the_readme_runs():
 def test_the_block_of_the_robot_page_runs(monkeypatch):
     (block,) = fenced((ROOT / "docs" / "robot.md").read_text(), "python")
     monkeypatch.setattr("time.sleep", lambda seconds: None)
+    monkeypatch.setattr("reorient.stations.simulated.CAMERA", Camera(160, 120, 165.0, 165.0, 80.0, 60.0))
+    for module in ("reorient", "reorient.stations.calibrating"):  # the default takes three times as long
+        monkeypatch.setattr(f"{module}.load_estimator", lambda name="gicp": load_estimator("gicp"))
     names: dict[str, object] = {}
     exec(block, names)
     cell = names["sdk_arm"].cell
