@@ -23,11 +23,15 @@ class Limits:
     max_rotation_rad: float = float("inf")
     """The loop ends before the angles of all moves add up to more."""
     confirm: Callable[[Float[np.ndarray, "3 3"]], bool] | None = None
-    """Called with the first move (camera axes, left); the loop ends where it returns False."""
+    """Called with the first move (camera axes, left), after the subscribers' ``decided``; the loop ends where it
+    returns False."""
     dry_run: bool = False
     """Capture, estimate and decide once; move nothing."""
     wait_s: float = 0.5
     """Pause after an error of station or estimator."""
+    timeout_s: float = float("inf")
+    """The loop ends, and the robot is stopped, where a call of the station takes longer. If finite, the station is
+    called from one thread of its own."""
 
     def __post_init__(self) -> None:
         if not (self.max_step_rad > 0 and self.max_rotation_rad > 0 and 0 <= self.wait_s < np.inf):
@@ -35,6 +39,8 @@ class Limits:
                 f"largest step {self.max_step_rad} rad, largest total {self.max_rotation_rad} rad, pause "
                 f"{self.wait_s} s: expected angles above 0 and a pause from 0"
             )
+        if not self.timeout_s > 0:
+            raise ReorientError(f"timeout {self.timeout_s} s: expected seconds above 0")
 
     def parts(self, R_step: Float[np.ndarray, "3 3"]) -> Iterator[Float[np.ndarray, "3 3"]]:
         """The move as equal rotations about one axis, each within the largest step."""
