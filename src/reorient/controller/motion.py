@@ -34,7 +34,7 @@ KEPT = 6
 FEWEST_RETURNS = 50
 """Images with fewer show no motion."""
 
-Verdict = Literal["consistent", "undecided", "slip", "contradicted", "beyond slip"]
+Verdict = Literal["confirmed", "undecided", "slip", "contradicted", "beyond slip"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +44,8 @@ class MeasuredMotion:
     R_reported: Float[np.ndarray, "3 3"]
     R_measured: Float[np.ndarray, "3 3"]
     verdict: Verdict
-    """``slip``: contradicted, as an accidental slip may. ``contradicted``: in a way that repeats. ``beyond slip``: no
-    rotation near the reported one matches."""
+    """``confirmed``: only rotations near the reported one match. ``slip``: contradicted, as by an accidental slip.
+    ``contradicted``: in a way that repeats. ``beyond slip``: no rotation that a slip may lead to matches."""
 
     @property
     def still(self) -> bool:
@@ -76,6 +76,9 @@ class MotionTest:
     far: float = 0.4
     """A rotation that contradicts the report differs by this share of the reported angle; at least ``near_rad``."""
     near_rad: float = float(np.radians(4))
+    """Registration errs by less."""
+    confirmed_rad: float = float(np.radians(8))
+    """A rotation that confirms a report is within ``near`` of it, and within this."""
     largest_rad: float = float(np.radians(100))
     """Larger reported angles count as this in the two shares."""
     slip_rad: float = float(np.radians(45))
@@ -95,11 +98,14 @@ class MotionTest:
         agrees = away_rad <= max(self.near_rad, self.near * least_rad)
         agrees[0] = True
         differs = away_rad >= max(self.near_rad, self.far * least_rad)
-        if not differs.any() or found.highest(differs) <= found.highest(agrees):
-            return MeasuredMotion(R_reported, R_reported, "consistent")
-        R_measured = found.R[found.best(differs)]
+        best, highest = int(np.argmax(found.score)), float(found.score.max())
+        if away_rad[best] <= max(self.near_rad, min(self.near * least_rad, self.confirmed_rad)) and not np.any(
+            found.score[differs] > highest - self.score_gain
+        ):
+            return MeasuredMotion(R_reported, found.R[best], "confirmed")
         if not self._beats(found, differs, agrees):
-            return MeasuredMotion(R_reported, R_measured, "undecided")
+            return MeasuredMotion(R_reported, found.R[best], "undecided")
+        R_measured = found.R[found.best(differs)]
         beyond = away_rad > self.slip_rad
         if self._beats(found, beyond, ~beyond):
             return MeasuredMotion(R_reported, found.R[found.best(beyond)], "beyond slip")
@@ -163,10 +169,6 @@ class _Aligned:
         """The hypothesis with the highest score of some."""
         return int(np.argmax(np.where(chosen, self.score, -np.inf)))
 
-    def highest(self, chosen: Bool[np.ndarray, " k"]) -> float:
-        """Their highest score."""
-        return float(self.score[chosen].max())
-
 
 def _tried(R_reported: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "k 3 3"]:
     """Rotations to compare with a reported one: no motion, the inverse, other axes, other angles, slips."""
@@ -212,7 +214,7 @@ class MotionRecord:
         if float(so3.angle(R)) < self.test.least_rad:
             return replace(self, R_now_before=R)
         measured = self.test(self.before, image, R)
-        unconfirmed = () if measured.verdict == "consistent" else (*self.unconfirmed, measured)
+        unconfirmed = () if measured.verdict == "confirmed" else (*self.unconfirmed, measured)
         return replace(self, before=image, R_now_before=np.eye(3), unconfirmed=unconfirmed)
 
     @property
