@@ -5,6 +5,8 @@ import logging
 import sys
 import sysconfig
 import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from reorient.errors import ProtocolError, ReorientError, StationError
@@ -39,6 +41,32 @@ def make_own(kind: str, name: str) -> object:
             f"cannot make {kind} {name!r} ({in_words(error)}): expected a class that can be imported from here and made "
             "without arguments"
         ) from error
+
+
+@contextmanager
+def tracebacks_shown(shown: bool = True) -> Iterator[None]:
+    """A block in which the tracebacks of errors are printed on standard error."""
+    handler = logging.StreamHandler()
+    level = LOGGER.level
+    if shown:
+        LOGGER.addHandler(handler)
+        LOGGER.setLevel(logging.DEBUG)
+    try:
+        yield
+    finally:
+        LOGGER.removeHandler(handler)
+        LOGGER.setLevel(level)
+
+
+@contextmanager
+def in_one_line(what: str) -> Iterator[None]:
+    """A block that calls the user's code: ReorientError for whatever that raises; ``what`` begins the message."""
+    try:
+        yield
+    except ReorientError:
+        raise
+    except USER_ERRORS as error:
+        raise ReorientError(f"{what}: {in_words(error)}") from error
 
 
 def in_words(error: BaseException) -> str:
