@@ -317,11 +317,11 @@ def test_a_failed_capture_leaves_the_old_goal(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     goal = tmp_path / "goal.npz"
     goal.write_bytes(b"old")
-    assert "failed to capture (OSError: no camera)" in refused(capsys, "capture", goal, "--station", "broken_cell:Cell")
+    assert "failed to capture: OSError: no camera [broken_cell.py, line 4]" in refused(capsys, "capture", goal, "--station", "broken_cell:Cell")
     assert goal.read_bytes() == b"old"
     assert list(tmp_path.glob(".*goal*")) == []
     assert "has no capture, rotate" in refused(capsys, "capture", goal, "--station", "broken_cell:Half")
-    assert "(OSError: no camera on bus 3)" in refused(capsys, "capture", goal, "--station", "broken_cell:Wordy")
+    assert "(OSError: no camera on bus 3 [broken_cell.py, line 11])" in refused(capsys, "capture", goal, "--station", "broken_cell:Wordy")
     assert "cannot make station" in refused(capsys, "capture", goal, "--station", "nowhere:Cell")
     assert "expected 'rendered' or my_module:MyStation" in refused(capsys, "capture", goal, "--station", "rendred")
     assert "expected an existing folder" in refused(capsys, "capture", tmp_path / "none" / "goal.npz")

@@ -1,6 +1,5 @@
 """The verb capture, and the choice of a station."""
 
-import sys
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -98,6 +97,4 @@ class Capture:
             # a simulated gripper can be left out of the goal image
             image = captured(station.capture_goal() if hasattr(station, "capture_goal") else station.capture())
         write_depth(self.out, image, scale_m=0.0001)
-        print(self.out)
-        if self.choice.station is None:
-            print("this is the simulator's image; --station my_module:MyStation captures at your own", file=sys.stderr)
+        print(self.out if self.choice.station else f"{self.out} (simulated: no --station was given)")

@@ -69,6 +69,8 @@ class MotionTest:
     """Smaller reported rotations add up until they are larger."""
     score_gain: float = 0.2
     """Score by which another rotation must exceed the reported one to contradict it."""
+    least_score: float = 0.0
+    """Score that it must exceed itself: of a thin object that shows its edge no rotation matches."""
     violation_gain: float = 0.1
     """Share of violations that it must have less: occluded points alone contradict nothing."""
     near: float = 0.25
@@ -129,7 +131,8 @@ class MotionTest:
             return False
         one, other = found.best(these), found.best(those)
         return bool(
-            found.score[one] - found.score[other] > self.score_gain
+            found.score[one] > self.least_score
+            and found.score[one] - found.score[other] > self.score_gain
             and found.violations[other] - found.violations[one] > self.violation_gain
         )
 
