@@ -73,6 +73,8 @@ class MotionTest:
     """Score that it must exceed itself: of a thin object that shows its edge no rotation matches."""
     violation_gain: float = 0.1
     """Share of violations that it must have less: occluded points alone contradict nothing."""
+    covisible_gain: float = 0.2
+    """The same among the points that are not occluded: of a body of revolution many more are, and none contradicts."""
     near: float = 0.25
     """A rotation within this share of the reported angle agrees with the report; at least ``near_rad``."""
     far: float = 0.4
@@ -134,6 +136,7 @@ class MotionTest:
             found.score[one] > self.least_score
             and found.score[one] - found.score[other] > self.score_gain
             and found.violations[other] - found.violations[one] > self.violation_gain
+            and found.covisible_violations[other] - found.covisible_violations[one] > self.covisible_gain
         )
 
     def _repeats(self, R_reported: Float[np.ndarray, "3 3"], R_measured: Float[np.ndarray, "3 3"]) -> bool:
@@ -158,6 +161,8 @@ class _Aligned:
     R: Float[np.ndarray, "k 3 3"]
     score: Float[np.ndarray, " k"]
     violations: Float[np.ndarray, " k"]
+    covisible_violations: Float[np.ndarray, " k"]
+    """The same among the points that are not occluded."""
 
     @classmethod
     def of(cls, problem: Problem, hypotheses: Hypotheses) -> "_Aligned":
@@ -165,8 +170,9 @@ class _Aligned:
             measure_evidence(problem.current, problem.goal, R, t_m, TOLERANCE * problem.diameter_m)
             for R, t_m in zip(hypotheses.R, hypotheses.t_m, strict=True)
         ]
-        violations = [x.free_space_violation + x.silhouette_violation for x in evidence]
-        return cls(hypotheses.R, np.array([x.score for x in evidence]), np.array(violations))
+        violations = np.array([x.free_space_violation + x.silhouette_violation for x in evidence])
+        visible = np.array([max(1 - x.occluded, 1e-9) for x in evidence])
+        return cls(hypotheses.R, np.array([x.score for x in evidence]), violations, violations / visible)
 
     def best(self, chosen: Bool[np.ndarray, " k"]) -> int:
         """The hypothesis with the highest score of some."""
