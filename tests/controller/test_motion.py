@@ -39,9 +39,9 @@ class Lying(Wrapped):
         image = replace(self.station.capture(), stamp_s=None)
         if self.kind == "frozen camera":
             self.first = image = self.first or image
-        if self.kind == "background":  # two posts
+        if self.kind == "background":  # two posts that stay
             posts = np.zeros_like(image.depth_m)
-            posts[5:123, 3:25], posts[5:123, 100:125] = 0.55, 0.65
+            posts[5:123, 3:35], posts[80:123, 100:125] = 0.55, 0.65
             image = DepthImage(np.where(image.valid, image.depth_m, posts), image.camera)
         return image
 

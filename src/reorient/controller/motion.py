@@ -73,7 +73,7 @@ class MotionTest:
     """Score that it must exceed itself: of a thin object that shows its edge no rotation matches."""
     violation_gain: float = 0.1
     """Share of violations that it must have less: occluded points alone contradict nothing."""
-    covisible_gain: float = 0.2
+    covisible_gain: float = 0.17
     """The same among the points that are not occluded: of a body of revolution many more are, and none contradicts."""
     near: float = 0.25
     """A rotation within this share of the reported angle agrees with the report; at least ``near_rad``."""
