@@ -22,7 +22,10 @@ PROGRAMMING_ERRORS = (
 """Errors that come again however often the call is repeated."""
 _NOT_THE_USERS = tuple(
     str(Path(folder).resolve())
-    for folder in (Path(__file__).parent, *(sysconfig.get_path(x) for x in ("stdlib", "platstdlib", "purelib", "platlib")))
+    for folder in (
+        Path(__file__).parent,
+        *(sysconfig.get_path(x) for x in ("stdlib", "platstdlib", "purelib", "platlib")),
+    )
 )
 
 

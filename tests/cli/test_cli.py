@@ -192,7 +192,18 @@ def test_capture_and_orient(capsys, tmp_path):
     main(["capture", str(goal)])
     assert read_depth(goal).camera == WORLD.camera
     capsys.readouterr()
-    one = ["orient", goal, "--station", "rendered", "--strategy", "algorithm1", "--estimator", "gicp", "--start-deg", 12]
+    one = [
+        "orient",
+        goal,
+        "--station",
+        "rendered",
+        "--strategy",
+        "algorithm1",
+        "--estimator",
+        "gicp",
+        "--start-deg",
+        12,
+    ]
     code, out, _ = ended(capsys, *one, "--eta", "0.5", "--out", tmp_path / "run")
     assert code == 0
     lines = out.splitlines()
@@ -317,11 +328,15 @@ def test_a_failed_capture_leaves_the_old_goal(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     goal = tmp_path / "goal.npz"
     goal.write_bytes(b"old")
-    assert "failed to capture: OSError: no camera [broken_cell.py, line 4]" in refused(capsys, "capture", goal, "--station", "broken_cell:Cell")
+    assert "failed to capture: OSError: no camera [broken_cell.py, line 4]" in refused(
+        capsys, "capture", goal, "--station", "broken_cell:Cell"
+    )
     assert goal.read_bytes() == b"old"
     assert list(tmp_path.glob(".*goal*")) == []
     assert "has no capture, rotate" in refused(capsys, "capture", goal, "--station", "broken_cell:Half")
-    assert "(OSError: no camera on bus 3 [broken_cell.py, line 11])" in refused(capsys, "capture", goal, "--station", "broken_cell:Wordy")
+    assert "(OSError: no camera on bus 3 [broken_cell.py, line 11])" in refused(
+        capsys, "capture", goal, "--station", "broken_cell:Wordy"
+    )
     assert "cannot make station" in refused(capsys, "capture", goal, "--station", "nowhere:Cell")
     assert "expected 'rendered' or my_module:MyStation" in refused(capsys, "capture", goal, "--station", "rendred")
     assert "expected an existing folder" in refused(capsys, "capture", tmp_path / "none" / "goal.npz")

@@ -140,7 +140,9 @@ def test_a_slip_is_told_from_what_no_slip_explains(mesh, angle_deg, verdict):
 
 def test_too_few_returns_show_nothing(mesh):
     image = seen(mesh, np.eye(3))
-    few = DepthImage(np.where(np.cumsum(image.valid).reshape(image.depth_m.shape) <= 20, image.depth_m, 0), image.camera)
+    few = DepthImage(
+        np.where(np.cumsum(image.valid).reshape(image.depth_m.shape) <= 20, image.depth_m, 0), image.camera
+    )
     assert MotionTest()(image, few, so3.exp(np.array([1.0, 0, 0]))).verdict == "undecided"
 
 

@@ -113,7 +113,9 @@ class MotionTest:
         beyond = away_rad > self.slip_rad
         if self._beats(found, beyond, ~beyond):
             return MeasuredMotion(R_reported, found.R[found.best(beyond)], "beyond slip")
-        return MeasuredMotion(R_reported, R_measured, "contradicted" if self._repeats(R_reported, R_measured) else "slip")
+        return MeasuredMotion(
+            R_reported, R_measured, "contradicted" if self._repeats(R_reported, R_measured) else "slip"
+        )
 
     def _aligned(self, problem: Problem, R_reported: Float[np.ndarray, "3 3"]) -> "_Aligned":
         """The reported rotation, aligned by translation alone, and then all others with the highest scores."""

@@ -116,7 +116,7 @@ class ReplayedStation:
     one has left the record, and gets a StationError."""
 
     def __init__(self, folder: str | Path) -> None:
-        """Raises ReorientError for a folder without a record, or a broken one."""
+        """Raises ReorientError for a folder without a record, a broken one, and one that names files outside it."""
         self._folder = Path(folder)
         file = self._folder / "record.json"
         if not file.is_file():
@@ -132,6 +132,8 @@ class ReplayedStation:
             raise ReorientError(
                 f"cannot read {str(file)!r} ({error}): expected a folder of `reorient orient --record`"
             ) from error
+        for act in self._acts:
+            self.file(act.get("capture") or "goal.npz")
         if answers is not None:
             self.reachable = self._reachable
         self._next = 0
