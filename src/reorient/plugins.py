@@ -22,10 +22,7 @@ PROGRAMMING_ERRORS = (
 """Errors that come again however often the call is repeated."""
 _NOT_THE_USERS = tuple(
     str(Path(folder).resolve())
-    for folder in (
-        Path(__file__).parent,
-        *(sysconfig.get_path(x) for x in ("stdlib", "platstdlib", "purelib", "platlib")),
-    )
+    for folder in (str(Path(__file__).parent), *map(sysconfig.get_path, ("stdlib", "platstdlib", "purelib", "platlib")))
 )
 
 

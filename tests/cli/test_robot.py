@@ -164,7 +164,7 @@ def test_no_station_is_no_simulator(folder, capsys):
 @pytest.mark.parametrize(
     ("station", "message"),
     [
-        ("Wrong", f"AttributeError: 'RenderedStation' object has no attribute 'captur' [own_cell.py, line {{}}]"),
+        ("Wrong", "AttributeError: 'RenderedStation' object has no attribute 'captur' [own_cell.py, line {}]"),
         ("Exits", "SystemExit: 0 [own_cell.py, line {}]"),
     ],
 )

@@ -47,7 +47,7 @@ def test_a_station_that_hangs_ends_the_loop(cell, member, tmp_path):
     assert (result.status, len(result.errors)) == ("station_failed", 1)
     assert "no answer within 0.5 s" in result.reason
     assert faulty.stopped == [True] * (member == "rotate")
-    assert (list(acts[-1])[0], acts[-1]["error"]) == (member, "did not end")
+    assert (next(iter(acts[-1])), acts[-1]["error"]) == (member, "did not end")
     assert [step.motion_unknown for step in result.steps] == [True] * (member == "rotate")
 
 

@@ -1,7 +1,7 @@
 """The verbs of the closed loop: orient, replay."""
 
-import sys
 import shutil
+import sys
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any

@@ -100,7 +100,7 @@ class MotionTest:
         away_rad = so3.angle_difference(found.R, R_reported)
         least_rad = min(float(so3.angle(R_reported)), self.largest_rad)
         agrees = away_rad <= max(self.near_rad, self.near * least_rad)
-        agrees[0] = True
+        agrees[:2] = True
         differs = away_rad >= max(self.near_rad, self.far * least_rad)
         best, highest = int(np.argmax(found.score)), float(found.score.max())
         if away_rad[best] <= max(self.near_rad, min(self.near * least_rad, self.confirmed_rad)) and not np.any(
@@ -119,7 +119,9 @@ class MotionTest:
 
     def _aligned(self, problem: Problem, R_reported: Float[np.ndarray, "3 3"]) -> "_Aligned":
         """The reported rotation, aligned by translation alone, and then all others with the highest scores."""
-        reported = refine(problem, problem.start(R_reported[None]), (*COARSE, *FINE), POINTS, rotate=False)
+        start = problem.start(np.stack([R_reported, R_reported]))
+        start.t_m[1] = problem.prior.translations(R_reported[None])[0]  # about the middle: right for another side
+        reported = refine(problem, start, (*COARSE, *FINE), POINTS, rotate=False)
         tried = refine(problem, problem.start(_tried(R_reported)), COARSE, POINTS // 2)
         score = problem.image_score(tried, TOLERANCE, POINTS)
         beyond = so3.angle_difference(tried.R, R_reported) > self.slip_rad
@@ -130,15 +132,15 @@ class MotionTest:
         return _Aligned.of(problem, Hypotheses(R, t_m))
 
     def _beats(self, found: "_Aligned", these: Bool[np.ndarray, " k"], those: Bool[np.ndarray, " k"]) -> bool:
-        """Whether the best of these hypotheses matches clearly better than the best of those."""
+        """Whether the best of these hypotheses matches clearly better than all of those."""
         if not these.any():
             return False
-        one, other = found.best(these), found.best(those)
+        one = found.best(these)
         return bool(
             found.score[one] > self.least_score
-            and found.score[one] - found.score[other] > self.score_gain
-            and found.violations[other] - found.violations[one] > self.violation_gain
-            and found.covisible_violations[other] - found.covisible_violations[one] > self.covisible_gain
+            and found.score[one] - found.score[those].max() > self.score_gain
+            and found.violations[those].min() - found.violations[one] > self.violation_gain
+            and found.covisible_violations[those].min() - found.covisible_violations[one] > self.covisible_gain
         )
 
     def _repeats(self, R_reported: Float[np.ndarray, "3 3"], R_measured: Float[np.ndarray, "3 3"]) -> bool:
@@ -158,7 +160,7 @@ TOLERANCE = 0.015
 
 @dataclass(frozen=True, eq=False)
 class _Aligned:
-    """Aligned hypotheses, with scores and shares of violations; the first one is the reported rotation."""
+    """Aligned hypotheses, with scores and shares of violations; the first two are the reported rotation."""
 
     R: Float[np.ndarray, "k 3 3"]
     score: Float[np.ndarray, " k"]
