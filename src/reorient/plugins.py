@@ -38,8 +38,7 @@ def make_own(kind: str, name: str) -> object:
         return getattr(importlib.import_module(module_name), attribute)()
     except USER_ERRORS as error:
         raise ReorientError(
-            f"cannot make {kind} {name!r} ({in_words(error)}): expected a class that can be imported from here and made "
-            "without arguments"
+            f"cannot make {kind} {name!r} ({in_words(error)}): expected an importable class, made without arguments"
         ) from error
 
 
