@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from reorient.errors import ReorientError, StationError
     from reorient.estimators import load_estimator
     from reorient.estimators.base import Estimator, RotationEstimate
-    from reorient.imaging import Camera, DepthImage
+    from reorient.imaging import Camera, DepthImage, Isolation, isolate
 
 __version__ = "0.1.0.dev0"
 __all__ = [
@@ -23,6 +23,7 @@ __all__ = [
     "DepthImage",
     "Estimator",
     "Fusing",
+    "Isolation",
     "Limits",
     "OrientResult",
     "ReorientError",
@@ -30,6 +31,7 @@ __all__ = [
     "Station",
     "StationError",
     "Step",
+    "isolate",
     "load_estimator",
     "load_strategy",
     "orient",
@@ -40,7 +42,7 @@ _MODULES = {
     "errors": ("ReorientError", "StationError"),
     "estimators": ("load_estimator",),
     "estimators.base": ("Estimator", "RotationEstimate"),
-    "imaging": ("Camera", "DepthImage"),
+    "imaging": ("Camera", "DepthImage", "Isolation", "isolate"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 

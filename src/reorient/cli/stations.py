@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 
 from reorient.cli.arguments import Metavar, Positional
+from reorient.cli.isolating import IsolationOptions
 from reorient.errors import ReorientError, check_range
 
 if TYPE_CHECKING:
@@ -70,17 +71,21 @@ class Capture:
 
     Examples:
         reorient capture goal.npz --station my_cell:MyStation
+        reorient capture goal.npz --station my_cell:RawCamera --around 0 0 0.5 0.15 --remove-plane
     """
 
     out: Annotated[Positional[Path], Metavar("GOAL")]
     """File to write: .npz, .tif, or .png with steps of 0.1 mm. Each also holds the camera."""
     choice: StationChoice = field(default_factory=StationChoice)
+    isolation: IsolationOptions = field(default_factory=IsolationOptions)
 
     def run(self) -> None:
-        """Capture and write."""
+        """Capture, isolate and write."""
         from reorient.controller.station import captured
+        from reorient.imaging import Isolation
         from reorient.imaging.files import write_depth
 
+        isolation = self.isolation.isolation()
         station: Any = self.choice.open()
         try:  # a simulated gripper can be left out of the goal image
             image = captured(station.capture_goal() if hasattr(station, "capture_goal") else station.capture())
@@ -88,5 +93,7 @@ class Capture:
             raise
         except Exception as error:
             raise ReorientError(f"the station failed to capture ({type(error).__name__}: {error})") from error
+        if isolation != Isolation():
+            image = isolation(image)
         write_depth(self.out, image, scale_m=0.0001)
         print(self.out)
