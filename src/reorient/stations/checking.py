@@ -10,7 +10,7 @@ from scipy.optimize import least_squares, minimize_scalar
 from reorient import se3, so3
 from reorient.errors import ReorientError, StationError
 from reorient.estimators import load_estimator
-from reorient.estimators.base import Estimator
+from reorient.estimators.base import Estimator, check_pair
 from reorient.imaging import DepthImage
 from reorient.perception.hand_eye import Motion, whitening
 from reorient.perception.robot_calibration import RobotCalibration
@@ -81,7 +81,7 @@ def check(
 
 
 class _Empty(ReorientError):
-    """The isolation leaves nothing."""
+    """The isolation leaves no object."""
 
 
 def _kind_of(error: StationError) -> str:
@@ -119,11 +119,13 @@ def observe(frames: FreshFrames, arm: GuardedArm, calibration: RobotCalibration)
 
 def _isolated(frames: FreshFrames) -> DepthImage:
     try:
-        return frames.capture()
+        image = frames.capture()
+        check_pair(image, image)
     except StationError:
         raise
     except ReorientError as error:
         raise _Empty(str(error)) from error
+    return image
 
 
 def diagnose(views: Sequence[View], calibration: RobotCalibration, estimator: Estimator) -> Check:
@@ -143,7 +145,7 @@ def diagnose(views: Sequence[View], calibration: RobotCalibration, estimator: Es
         best = Mistake(
             "unknown",
             f"the object does not move as the arm states (rotations {rotation_deg:.1f} deg and displacements "
-            f"{1000 * position_m:.1f} mm off, RMS), and no known mistake explains it",
+            f"{1000 * position_m:.1f} mm off, RMS), and no known mistake explains it; check with another object too",
             stated,
         )
     return Check(best.name, best.message, rotation_deg, position_m)
