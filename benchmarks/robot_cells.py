@@ -136,8 +136,8 @@ def _loops(config: RobotCells, objects: ObjectSet) -> Iterator[dict[str, Any]]:
         axis = so3.sample_axes(cell.rng, 1)[0]
         for kind, calibration in (("true", true), ("found", found)):
             arm.move_to(home)
-            RobotStation(camera, arm, true).rotate(so3.exp(axis * np.radians(config.start_deg)))
             station = RobotStation(camera, arm, calibration)
+            station.rotate(so3.exp(axis * np.radians(config.start_deg)))  # about the point that it rotates about later
             result = orient(station, goal, estimator, limits=Limits(wait_s=0.0))
             away_rad = so3.angle_difference(cell.T_camera_object[:3, :3], R_goal)
             yield {
