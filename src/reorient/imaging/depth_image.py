@@ -14,6 +14,7 @@ from reorient.imaging.splatting import splat
 NEAREST_M = 0.01  # no depth camera measures a median depth below this
 MILLIMETRES_ABOVE = 20.0  # a median depth above this is taken as millimetres: no held object is 20 m away
 NO_RETURN = 65535  # in unsigned 16 bits
+_AWAY = 0.1  # of the width: largest median distance of organised points from their pixels, by lens distortion
 _RANGE_M = (1e-4, 1e3)  # single returns outside it are no measurement: rounding of zero, a renderer's "infinitely far"
 
 
@@ -57,15 +58,15 @@ class DepthImage:
     @classmethod
     def from_uint16(
         cls,
-        raw: Integer[np.ndarray, "height width"],
+        raw: Integer[np.ndarray, "..."],
         camera: Camera,
         scale_m: float = 0.001,
         stamp_s: float | None = None,
     ) -> "DepthImage":
-        """A raw frame of integer depth: 0, 65535 and masked elements are no return, so unknown; isolate it next.
+        """A raw frame of integer depth, (height, width) or (height, width, 1); isolate it next.
 
-        ``scale_m``: metres per unit. Raises ReorientError for another dtype, a scale that is not above 0, and as
-        DepthImage.
+        0, 65535 and masked elements are no return, so unknown. ``scale_m``: metres per unit. Raises ReorientError for
+        another dtype, a scale that is not above 0, and as DepthImage.
         """
         units = without_mask(raw, 0)
         if units.ndim == 3 and units.shape[2] == 1:
@@ -94,12 +95,15 @@ class DepthImage:
             raise ReorientError(
                 f"points of dtype {points.dtype} and shape {points.shape}: expected floats (height, width, 3) or (n, 3)"
             )
-        points = points.reshape(-1, 3).astype(np.float64)
+        flat = points.reshape(-1, 3).astype(np.float64)
         with np.errstate(invalid="ignore", over="ignore"):
-            depth = splat(camera.project(points), points[:, 2], (camera.height, camera.width))
+            uv_px = camera.project(flat)
+            depth = splat(uv_px, flat[:, 2], (camera.height, camera.width))
+        if points.shape[:-1] == depth.shape:
+            _check_organised(uv_px.reshape(*depth.shape, 2), camera)
         if not depth.any():
             raise ReorientError(
-                f"none of {len(points)} points projects into the {camera.width} x {camera.height} px of the camera: "
+                f"none of {len(flat)} points projects into the {camera.width} x {camera.height} px of the camera: "
                 "expected camera axes (x right, y down, z forward), metres"
             )
         return cls(np.where(depth > 0, depth, np.nan), camera, stamp_s)
@@ -185,6 +189,18 @@ def _checked_depth(depth_m: object, camera: Camera) -> Float32[np.ndarray, "heig
         )
     with np.errstate(over="ignore"):
         return depth.astype(np.float32)
+
+
+def _check_organised(uv_px: Float[np.ndarray, "height width 2"], camera: Camera) -> None:
+    """Raise ReorientError where the points of an image lie far from their own pixels, beyond any lens distortion."""
+    rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
+    away = np.hypot(uv_px[..., 0] - columns, uv_px[..., 1] - rows)
+    away = away[np.isfinite(away)]
+    if len(away) and np.median(away) > _AWAY * camera.width:
+        raise ReorientError(
+            f"points lie {np.median(away):.0f} px (median) from their own pixels: expected camera axes (x right, "
+            "y down, z forward) and the camera that took them (a picture of three colours is no depth)"
+        )
 
 
 def without_mask(array: object, fill: float) -> np.ndarray:

@@ -98,7 +98,7 @@ def _from_text(text: str, suffix: str) -> Any:
         return _from_xml(text)
     if suffix in (".yaml", ".yml") or text.startswith("%YAML"):
         return _from_yaml(text)
-    if begin in ("{", "[") and (suffix != ".txt" or begin == "{"):
+    if begin == "{" or suffix in (".json", ".intr"):
         try:
             return parse_json(text)
         except ValueError as error:

@@ -147,7 +147,7 @@ def _optics(fields: Fields) -> tuple[float, float, float, float]:
         return camera.fx, camera.fy, camera.cx, camera.cy
     found = {name: _first(fields, names) for name, names in (("fx", FX), ("fy", FY), ("cx", CX), ("cy", CY))}
     if missing := [name for name, value in found.items() if value is None]:
-        raise ReorientError(f"no {' and '.join(missing)}: expected fx, fy, cx, cy in pixels")
+        raise ReorientError(f"missing intrinsics, no {' and '.join(missing)}: expected fx, fy, cx, cy in pixels")
     fx, fy, cx, cy = map(_number, found.values())
     offset = 0.5 - _pixel_centers(fields)
     return fx, fy, cx + offset, cy + offset

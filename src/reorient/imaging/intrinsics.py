@@ -107,11 +107,9 @@ def intrinsics_from(
             raise ReorientError(f"missing intrinsics: {_EXPECTED}")
         return _chosen(cameras, size, image, name)
     except ReorientError as error:
-        raise ReorientError(f"camera file {source!r}: {error}") from error
+        raise ReorientError(f"camera in {source!r}: {error}") from error
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, RecursionError) as error:
-        raise ReorientError(
-            f"camera file {source!r} has no intrinsics ({type(error).__name__}): {_EXPECTED}"
-        ) from error
+        raise ReorientError(f"camera in {source!r} has no intrinsics ({type(error).__name__}): {_EXPECTED}") from error
 
 
 def fitted(intrinsics: Intrinsics, size: tuple[int, int], source: str, image: str) -> Intrinsics:
@@ -129,8 +127,8 @@ def fitted(intrinsics: Intrinsics, size: tuple[int, int], source: str, image: st
             )
         if not all(_CENTRAL <= share <= 1 - _CENTRAL for share in (intrinsics.cx / width, intrinsics.cy / height)):
             _NOTES.warning(
-                "note: the principal point (%.1f, %.1f) of camera file %r is far from the centre of the %d x %d px of %r: "
-                "right only for a crop",
+                "note: the principal point (%.1f, %.1f) of camera file %r is far from the centre of the %d x %d px of "
+                "%r: right only for a crop",
                 *(intrinsics.cx, intrinsics.cy, source, width, height, image),
             )
         return replace(intrinsics, width=width, height=height)
