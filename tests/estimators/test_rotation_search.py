@@ -13,7 +13,7 @@ from reorient.estimators.search import EFFORTS, Stage, perturb_and_select, searc
 from reorient.estimators.verifier import FEATURES, Verifier, features, load_verifier
 from reorient.imaging import Camera, DepthImage
 from reorient.registration import Hypotheses, build_problem
-from reorient.registration.depth_view import LARGEST_PX, compact
+from reorient.registration.depth_view import LARGEST_PX, DepthView
 from reorient.world.pairs import sample_pair
 from reorient.world.rendering import Placement, Renderer, load_world
 from reorient.world.sensing import Sensor, randomised
@@ -170,7 +170,7 @@ def test_other_cameras(mesh, f):
     camera = Camera(500, 400, f, f, 180.0, 230.0)
     placement = Placement(0.1, np.array([0.03, -0.02, 0.7]))
     images = [DepthImage(renderer.depth(camera, x, placement), camera) for x in (R_start, R @ R_start)]
-    assert max(compact(images[0]).depth_m.shape) <= LARGEST_PX + 1
+    assert max(DepthView(images[0]).image.depth_m.shape) <= LARGEST_PX + 1
     estimate = load_estimator().estimate(*images)
     assert errors_deg(estimate.R_goal_current, R) < 1.5
 

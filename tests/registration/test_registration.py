@@ -1,5 +1,7 @@
 """The laws of the geometry kernel: planes, evidence, prior, translations, Gauss-Newton, non-maximum suppression."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -173,6 +175,57 @@ def test_evidence_of_a_displaced_object(mesh):
     assert pushed[2].occluded == pytest.approx(0.5, abs=0.15)
     assert pushed[2].free_space_violation == pytest.approx(0.5, abs=0.15)
     assert pushed[2].inlier_ratio < 0.1
+
+
+def test_points_on_unknown_pixels_are_occluded(mesh):
+    goal = pair_of(mesh, angle_deg=20).goal
+    unknown = np.zeros(goal.depth_m.shape, bool)
+    unknown[:, : int(np.median(np.nonzero(goal.valid)[1]))] = True  # half of the object, and all beside it
+    whole, half = DepthView(goal), DepthView(replace(goal, unknown=unknown))
+    lost = DepthView(replace(goal, depth_m=np.where(unknown, 0, goal.depth_m)))
+    still, at = np.eye(3), np.zeros(3)
+    known = measure_evidence(whole, lost, still, at, 0.003)
+    evidence = measure_evidence(whole, half, still, at, 0.003)
+    assert known.silhouette_violation > 0.2
+    assert evidence.silhouette_violation == evidence.free_space_violation == 0
+    assert evidence.occluded > 0.2
+    assert evidence.covisible_inlier_ratio > 0.99
+
+
+def test_an_unknown_part_does_not_pull(mesh):
+    """Gauss-Newton stays at the truth, although half of the object's points fall on unknown pixels."""
+    pair = pair_of(mesh, angle_deg=20)
+    unknown = np.zeros(pair.goal.depth_m.shape, bool)
+    unknown[:, : int(np.median(np.nonzero(pair.goal.valid)[1]))] = True
+    steps = [0.02] * 8
+
+    def error_deg(goal):
+        refined = refine(build_problem(pair.current, goal, None), motion_of(pair), steps, 400)
+        return errors_deg(refined.R[0], pair.R_goal_current)
+
+    assert error_deg(replace(pair.goal, unknown=unknown)) < 1
+    assert error_deg(replace(pair.goal, depth_m=np.where(unknown, 0, pair.goal.depth_m))) > 2
+
+
+def test_points_beyond_the_frame_are_occluded(mesh):
+    goal = pair_of(mesh, angle_deg=20).goal
+    columns = np.nonzero(goal.valid)[1]
+    cut = int(np.median(columns))
+    half = DepthView(goal.cropped(cut, 0, goal.camera.width - cut, goal.camera.height))
+    evidence = measure_evidence(DepthView(goal), half, np.eye(3), np.zeros(3), 0.003)
+    assert evidence.occluded > 0.2
+    assert evidence.silhouette_violation == 0
+
+
+def test_an_unknown_pixel_apart_from_the_object_moves_no_outline(mesh):
+    goal = pair_of(mesh, angle_deg=20).goal
+    row, column = np.argwhere(goal.valid).min(axis=0) - 3
+    unknown = np.zeros(goal.depth_m.shape, bool)
+    unknown[row, column] = True
+    views = DepthView(goal), DepthView(replace(goal, unknown=unknown))
+    pushed = Hypotheses(np.eye(3)[None], np.array([[-0.03, -0.03, 0.0]])).single().move(views[0].sample(500))
+    pixels = views[0].warp(pushed).pixel
+    np.testing.assert_array_equal(*(view.outside_px(pixels) for view in views))
 
 
 def test_points_that_miss_everything_have_no_residual(mesh):

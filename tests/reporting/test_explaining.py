@@ -10,7 +10,7 @@ from reorient import load_estimator, so3
 from reorient.estimators.base import with_evidence
 from reorient.formatting import format_share
 from reorient.imaging import DepthImage
-from reorient.registration import DepthView, compact
+from reorient.registration import DepthView
 from reorient.reporting import explaining
 from reorient.reporting.explaining import CLASSES, classify, picture
 from reorient.world.pairs import Pair, sample_pair
@@ -46,7 +46,7 @@ def test_the_points_of_the_picture_are_those_of_the_evidence(name, scale, mesh):
 def test_every_class_appears_where_it_must(mesh):
     """A wrong rotation has violations, an image moved towards the camera only free-space ones, away only occluded."""
     pair = pair_of(mesh, 2, 0)
-    view = DepthView(compact(pair.goal))
+    view = DepthView(pair.goal)
     for shift_m, full in ((0.0, "inlier_ratio"), (-0.05, "free_space_violation"), (0.05, "occluded")):
         estimate = with_evidence(view, view, np.eye(3), np.array([0.0, 0.0, shift_m]))
         forward, _ = classify(pair.goal, pair.goal, estimate)

@@ -12,7 +12,7 @@ from reorient.errors import ReorientError
 from reorient.imaging import DepthImage
 from reorient.imaging.depth_image import MILLIMETRES_ABOVE
 from reorient.imaging.isolation import require_isolated
-from reorient.registration import DepthView, Evidence, compact, inlier_tolerance_m, measure_evidence
+from reorient.registration import DepthView, Evidence, inlier_tolerance_m, measure_evidence
 
 History = Sequence[tuple[DepthImage, Float[np.ndarray, "3 3"]]]
 """Earlier captures of the same held object, each with R_now_then."""
@@ -141,6 +141,4 @@ def as_estimate(answer: Any, current: DepthImage, goal: DepthImage) -> RotationE
         return answer
     more = {name: getattr(answer, name, None) for name in ("confidence", "covariance_rad2")}
     alternatives = tuple(getattr(answer, "alternatives", None) or ())
-    return with_evidence(
-        DepthView(compact(current)), DepthView(compact(goal)), R, t_m, alternatives=alternatives, **more
-    )
+    return with_evidence(DepthView(current), DepthView(goal), R, t_m, alternatives=alternatives, **more)

@@ -20,7 +20,7 @@ from reorient.errors import ReorientError
 from reorient.estimators.base import History, RotationEstimate, check_pair, with_evidence
 from reorient.estimators.polish import FEWEST_POINTS
 from reorient.imaging import DepthImage
-from reorient.registration import DepthView, Hypotheses, compact, measure_evidence, non_maximum_suppression, pivot_prior
+from reorient.registration import DepthView, Hypotheses, measure_evidence, non_maximum_suppression, pivot_prior
 from reorient.registration.evidence import score
 from reorient.se3 import Transform
 
@@ -109,7 +109,7 @@ class _Alignment:
         self._settings = settings
         self._points = current.points(), goal.points()
         self._clouds: dict[Stage, tuple[Any, Any, Any]] = {}
-        self._views = DepthView(compact(current)), DepthView(compact(goal))
+        self._views = DepthView(current), DepthView(goal)
         self._prior = pivot_prior(*self._views, pivot_m)
 
     def estimate(self) -> RotationEstimate:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from reorient.estimators.base import History, RotationEstimate, check_pair, with_evidence
 from reorient.imaging import DepthImage
-from reorient.registration import DepthView, compact, evenly_spaced
+from reorient.registration import DepthView, evenly_spaced
 
 
 class ICP:
@@ -39,7 +39,7 @@ class ICP:
         _, next_cost = self._align(source - source_center, target - target_center, T, 1)
         R = T[:3, :3]
         t = T[:3, 3] + target_center - R @ source_center
-        views = DepthView(compact(current)), DepthView(compact(goal))
+        views = DepthView(current), DepthView(goal)
         return with_evidence(*views, R, t, converged=abs(cost - next_cost) < self._threshold)
 
     def _align(

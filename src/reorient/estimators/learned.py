@@ -22,7 +22,7 @@ from reorient.imaging.virtual_camera import (
     rotated,
     slide,
 )
-from reorient.registration import DepthView, compact
+from reorient.registration import DepthView
 
 SWIFT_ROUNDS = 3  # from the second on it estimates the rotation left by the answer so far
 NEAR_RAD = float(np.radians(3))  # below this the exchanged pair, too, is like those it was trained on
@@ -92,7 +92,7 @@ class Learned:
             R_virtual = so3.matrix_from_quat(left_wxyz) @ R_virtual
         R = virtual.to_camera(R_virtual)[0]
         t = virtual.R_virtual_camera[0].T @ (to_m[0] - R_virtual[0] @ from_m[0])
-        return with_evidence(DepthView(compact(current)), DepthView(compact(goal)), R, t)
+        return with_evidence(DepthView(current), DepthView(goal), R, t)
 
     def raw_quat_wxyz(self, current: DepthImage, goal: DepthImage) -> Float[np.ndarray, "4"]:
         """Raw output of the network in its first round: virtual camera axes, either sign."""

@@ -1,7 +1,8 @@
 """Depth images and cameras, their files, isolation, and the virtual camera."""
 
 from reorient.imaging.camera import Camera
+from reorient.imaging.clusters import without_strays
 from reorient.imaging.depth_image import DepthImage
 from reorient.imaging.isolation import isolate
 
-__all__ = ["Camera", "DepthImage", "isolate"]
+__all__ = ["Camera", "DepthImage", "isolate", "without_strays"]

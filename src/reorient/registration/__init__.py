@@ -5,7 +5,7 @@ hypotheses of rotations, ``refine`` improves them, ``Problem.score`` and ``measu
 """
 
 from reorient.registration.build import build_problem
-from reorient.registration.depth_view import DepthView, Warped, compact, evenly_spaced
+from reorient.registration.depth_view import DepthView, Warped, evenly_spaced
 from reorient.registration.evidence import (
     EVIDENCE_POINTS,
     INLIER_TOLERANCE,
@@ -32,7 +32,6 @@ __all__ = [
     "Problem",
     "Warped",
     "build_problem",
-    "compact",
     "evenly_spaced",
     "fit_planes",
     "inlier_tolerance_m",

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from reorient import so3
 from reorient.imaging import DepthImage
-from reorient.registration.depth_view import DepthView, compact
+from reorient.registration.depth_view import DepthView
 from reorient.registration.gauss_newton import refine
 from reorient.registration.pivot import pivot_prior
 from reorient.registration.problem import Observation, Problem
@@ -29,10 +29,10 @@ def build_problem(
     ``history``: earlier captures, each with R_now_then. They rotate to now about the pivot (or its guess), and a
     registration without rotation puts them in place.
     """
-    now, target = DepthView(compact(current)), DepthView(compact(goal))
+    now, target = DepthView(current), DepthView(goal)
     observations = [Observation(now, np.eye(3), np.zeros(3))]
     for image, R in _most_new(history):
-        then = DepthView(compact(image))
+        then = DepthView(image)
         to_now = Problem((Observation(then, np.eye(3), np.zeros(3)),), now, pivot_prior(then, now, pivot_m))
         placed = refine(to_now, to_now.start(R[None]), _TOLERANCES, _POINTS, rotate=False)
         observations.append(Observation(then, R, placed.t_m[0]))

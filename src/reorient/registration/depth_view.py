@@ -3,7 +3,8 @@
 Every pixel has a depth and a plane. On the object both are the surface's own; gaps of up to ``GAP_PX`` take the nearest
 return's. Outside the silhouette the plane is the one through the camera and the nearest piece of outline: the distance
 of a point from it is how far the point must move sideways to be hidden from view. So depth and silhouette residuals
-have one form, ``normal @ x - offset``.
+have one form, ``normal @ x - offset``. An unknown pixel hides every point that falls on it, and so does all that lies
+beyond the frame. Unknown pixels beside the object may show more of it: the outline goes around them, too.
 """
 
 from dataclasses import dataclass
@@ -13,11 +14,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
-from reorient.imaging import DepthImage
+from reorient.imaging import DepthImage, without_strays
 from reorient.registration.normals import fit_planes
 
 GAP_PX = 2.0  # holes and gaps no wider either way count as surface
-OUTSIDE_M = np.float32(1e3)  # the surface's depth outside the silhouette, behind any point; not tuned
+OUTSIDE_M = np.float32(1e3)  # the surface's depth outside the silhouette, behind any point; less this where unknown,
+# in front of any point. Not tuned
 LARGEST_PX = 160  # an object's image larger than this is shrunk: finer pixels cost time and add nothing
 MARGIN_PX = 4  # around a cropped object; not tuned
 OUTLINE_PX = 1.5  # a point may lie outside the outline by this much
@@ -29,8 +31,9 @@ def evenly_spaced(n: int, most: int) -> Int[np.ndarray, " k"]:
     return np.linspace(0, n - 1, min(most, n)).astype(int)
 
 
-def compact(image: DepthImage) -> DepthImage:
-    """The image cropped to the object, and shrunk to ``LARGEST_PX`` where it is larger."""
+def _compact(image: DepthImage) -> DepthImage:
+    """The image cropped to the object, without stray returns, and shrunk to ``LARGEST_PX`` where it is larger."""
+    image = without_strays(image)
     rows, columns = (np.nonzero(image.valid.any(axis=axis))[0] for axis in (1, 0))
     top, left = rows[0] - MARGIN_PX, columns[0] - MARGIN_PX
     height, width = rows[-1] + 1 + MARGIN_PX - top, columns[-1] + 1 + MARGIN_PX - left
@@ -39,13 +42,25 @@ def compact(image: DepthImage) -> DepthImage:
     return image if scale >= 1 else image.resized(max(round(width * scale), 1), max(round(height * scale), 1))
 
 
+def _gap_px(
+    valid: Bool[np.ndarray, "h w"], unknown: Bool[np.ndarray, "h w"], distance_px: Float[np.ndarray, "h w"]
+) -> Float[np.ndarray, "h w"]:
+    """The distance of each pixel from the object and from the unknown pixels that adjoin it."""
+    if not unknown.any():
+        return distance_px
+    labels, _ = ndimage.label(valid | unknown, np.ones((3, 3)))
+    adjoining = np.isin(labels, np.unique(labels[valid]))
+    return np.asarray(ndimage.distance_transform_edt(~adjoining))
+
+
 @dataclass(frozen=True, eq=False)
 class Warped:
     """Points of another image, moved into a view's camera axes and compared with the surface there.
 
     Each point is one of four things: an *inlier*, within the tolerance of the surface; a *free-space violation*, where
     the camera saw through the point to something farther; a *silhouette violation*, where the camera saw nothing of the
-    object; or *occluded*, behind the surface. Violations contradict the motion, occluded points say nothing about it.
+    object; or *occluded*, behind the surface or on an unknown pixel. Violations contradict the motion, occluded points
+    do not.
     """
 
     pixel: Int[np.ndarray, "*batch"]
@@ -70,7 +85,7 @@ class Warped:
         return np.asarray(self.violation(tolerance_m) & ~self.silhouette_violation())
 
     def occluded(self, tolerance_m: float) -> Bool[np.ndarray, "*batch"]:
-        """Points behind the surface."""
+        """Points behind the surface, or on an unknown pixel."""
         return self.difference_m > tolerance_m
 
 
@@ -78,19 +93,22 @@ class DepthView:
     """One depth image as flat tables over its pixels: depth, gap to the object, plane."""
 
     def __init__(self, image: DepthImage) -> None:
+        image = _compact(image)
         camera = image.camera
         self.image = image
         self.points_m = image.points().astype(np.float32)
         """(m, 3) all returns, row by row, camera axes."""
         valid = np.pad(image.valid, _PAD)
+        unknown = np.pad(image.unknown, _PAD, mode="edge")  # an image's margin is empty, or beyond the frame
         distance, nearest = ndimage.distance_transform_edt(~valid, return_indices=True)
         order = np.zeros(valid.shape, int)
         order[valid] = np.arange(len(self.points_m))
         # a point beyond the padded image falls on its outermost pixel
         self._height, self._width = valid.shape
         self._nearest = order[tuple(nearest)].ravel()  # the nearest return of each pixel
-        self._gap_px = distance.astype(np.float32).ravel()
+        self._gap_px = _gap_px(valid, unknown, distance).astype(np.float32).ravel()
         self._surface_m = np.where(self._gap_px <= GAP_PX, self.points_m[self._nearest, 2], OUTSIDE_M)
+        self._surface_m[unknown.ravel()] = -OUTSIDE_M
         self._focal = np.float32(camera.fx), np.float32(camera.fy)
         self._centre = np.float32(camera.cx + _PAD), np.float32(camera.cy + _PAD)
         self._samples: dict[int, Float[np.ndarray, "3 n"]] = {}

@@ -15,7 +15,6 @@ from reorient.registration import (
     DepthView,
     Evidence,
     Warped,
-    compact,
     inlier_tolerance_m,
     warp_both,
 )
@@ -59,7 +58,7 @@ class Panel:
 
 def classify(current: DepthImage, goal: DepthImage, estimate: RotationEstimate) -> tuple[Panel, Panel]:
     """The points of current in the goal's view, and those of goal in current's, as ``Evidence`` counts them."""
-    views = DepthView(compact(current)), DepthView(compact(goal))
+    views = DepthView(current), DepthView(goal)
     R, t_m = estimate.R_goal_current, estimate.t_goal_current_m
     tolerance_m = inlier_tolerance_m(*views)
     in_goal, in_current = warp_both(*views, R, t_m, EVIDENCE_POINTS)

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from reorient.estimators.base import History, RotationEstimate, check_pair, with_evidence
 from reorient.imaging import DepthImage
-from reorient.registration import DepthView, compact, evenly_spaced
+from reorient.registration import DepthView, evenly_spaced
 
 MAX_POINTS = 1500
 
@@ -64,4 +64,4 @@ def _collapsed(image: DepthImage) -> Float[np.ndarray, "n 3"]:
 def _answer(current: DepthImage, goal: DepthImage, R: Float[np.ndarray, "3 3"]) -> RotationEstimate:
     """With the translation that brings the centroids together."""
     t_m = goal.points().mean(axis=0) - R @ current.points().mean(axis=0)
-    return with_evidence(DepthView(compact(current)), DepthView(compact(goal)), R, t_m)
+    return with_evidence(DepthView(current), DepthView(goal), R, t_m)
