@@ -1,6 +1,6 @@
 """Datasets in the layout of BOP (https://bop.felk.cvut.cz): views of objects, their poses, models and symmetries.
 
-As documented in bop_toolkit's ``docs/bop_datasets_format.md`` (scene-wise): a folder for each scene of a split with
+As documented in bop_toolkit's "Format of BOP datasets" (scene-wise): a folder for each scene of a split with
 ``scene_camera.json``, ``scene_gt.json``, ``depth/`` and ``mask_visib/``; ``models_eval/`` or ``models/`` with
 ``models_info.json``. Lengths in the files are millimetres.
 """
