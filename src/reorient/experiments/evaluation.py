@@ -70,7 +70,7 @@ class Evaluation:
     estimators: tuple[str, ...] = ("gicp", "icp")
     """Names of estimators, each with a row for every pair."""
     world: str = "benchmark"
-    """Preset of camera, size and distance: benchmark or paper."""
+    """Preset of camera, size and distance: benchmark, paper or in_hand."""
     ranges_deg: tuple[tuple[float, float], ...] = ((0, 30), (30, 60))
     """Ranges of the angle between start and goal, in pairs: 0 30 30 60 is 0 to 30 and 30 to 60 degrees."""
     noise_mm: tuple[float, ...] = (0.0, 1.0)
@@ -188,12 +188,12 @@ def _estimates(
 ) -> list[dict[str, Any]]:
     """Cells of each estimator."""
     return [
-        _estimate(own[name] if name in own else cached_estimator(name), pair, group, pivot_m)
+        estimate_cells(own[name] if name in own else cached_estimator(name), pair, group, pivot_m)
         for name in config.estimators
     ]
 
 
-def _estimate(
+def estimate_cells(
     estimator: Estimator, pair: Pair, group: SymmetryGroup, pivot_m: Float[np.ndarray, "3"] | None
 ) -> dict[str, Any]:
     """Cells of one row."""

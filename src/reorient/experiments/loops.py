@@ -68,7 +68,10 @@ class Loops:
 
     def __post_init__(self) -> None:
         """Raises ReorientError for values out of range, unknown systems and an unknown world."""
-        load_world(self.world)
+        if load_world(self.world).in_hand is not None:
+            raise ReorientError(
+                f"--world {self.world}: expected benchmark or paper, no station has the losses of this one"
+            )
         for system in self.systems:
             load_system(system)
         for start in self.start_deg:

@@ -9,7 +9,7 @@ import json
 import shutil
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, cast
@@ -24,7 +24,7 @@ from reorient.runs.pool import Pool
 from reorient.world.meshes import MOST_VERTICES, some_vertices
 from reorient.world.objects import ObjectSet, ObjectSource
 from reorient.world.pairs import PairSet, sample_pair
-from reorient.world.rendering import Renderer, load_world
+from reorient.world.rendering import Renderer, World, load_world
 from reorient.world.sensing import randomised
 
 CHUNKS_A_SHARD = 20
@@ -181,11 +181,12 @@ def _renderer(source: ObjectSource, name: str) -> Renderer:
 
 
 def _draw(config: PairSet, name: str, index: int, pair: int) -> dict[str, Any]:
-    """One pair in the form that is stored; ``images``: (2, h, w), in steps of the world's quantum."""
+    """One pair in the form that is stored; ``images``: (2, h, w), in steps of the world's quantum, unknown pixels 0."""
     world = load_world(config.world)
     rng = np.random.default_rng([config.seed, index, pair])
     drawn = sample_pair(
-        rng, _renderer(config.objects, name), world, randomised(config.noise_mm / 1000),
+        rng, _renderer(config.objects, name), _without_strays(world.sometimes_in_hand(rng, config.in_hand)),
+        randomised(config.noise_mm / 1000),
         float(np.radians(config.low_deg)), float(np.radians(config.high_deg)),
     )  # fmt: skip
     images = np.rint(np.stack([drawn.current.depth_m, drawn.goal.depth_m]) / world.quantum_m).astype(np.uint16)
@@ -197,6 +198,11 @@ def _draw(config: PairSet, name: str, index: int, pair: int) -> dict[str, Any]:
         "pivot_m": drawn.pivot_m,
         WHOLE: so3.quat_from_matrix(drawn.R_goal_current),
     }
+
+
+def _without_strays(world: World) -> World:
+    """No stray returns: estimators remove them before a network sees an image."""
+    return world if world.in_hand is None else replace(world, in_hand=replace(world.in_hand, stray=0.0))
 
 
 def _write_shard(task: tuple[PairSet, str, int, int]) -> int:

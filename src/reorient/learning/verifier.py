@@ -43,7 +43,9 @@ class VerifierData:
     per_shard: int = 5
     """Number of objects in a file."""
     world: str = "benchmark"
-    """Preset of camera, size and distance: benchmark or paper."""
+    """Preset of camera, size and distance: benchmark, paper or in_hand."""
+    in_hand: float = 0.0
+    """Share of the pairs that are of the preset in_hand, before the camera of the world."""
     most_noise_mm: float = 3.0
     """Largest depth noise: a quarter of the pairs has none, half up to 1 mm, the rest up to this."""
     most_wrong_focal: float = 0.02
@@ -60,6 +62,7 @@ class VerifierData:
             raise unknown_name("effort", self.effort, list(EFFORTS))
         check_range(self, "pairs", "per_shard", low=1)
         check_range(self, "seed", "most_noise_mm")
+        check_range(self, "in_hand", high=1)
         check_range(self, "most_wrong_focal", high=1, below=True)
 
 
@@ -114,7 +117,8 @@ def _hypotheses(config: VerifierData, renderer: Renderer, number: int) -> Iterat
         rng = np.random.default_rng([config.seed, number, index])
         low, high = np.radians(RANGES_DEG[index % len(RANGES_DEG)])
         try:
-            pair = sample_pair(rng, renderer, world, randomised(_noise_m(rng, config.most_noise_mm)), low, high)
+            held = world.sometimes_in_hand(rng, config.in_hand)
+            pair = sample_pair(rng, renderer, held, randomised(_noise_m(rng, config.most_noise_mm)), low, high)
         except ReorientError:  # a sheet that shows too little from everywhere
             continue
         images = _with_wrong_focal(rng, pair, config.most_wrong_focal)

@@ -5,7 +5,7 @@ Embree's distance along a ray *is* the depth. Both sides of a triangle are visib
 and positions of the object before the camera.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import trimesh
@@ -17,6 +17,7 @@ from scipy.spatial import QhullError
 
 from reorient.errors import unknown_name
 from reorient.imaging import Camera
+from reorient.world.in_hand import InHand
 from reorient.world.meshes import bounding_radius, center
 
 _HULL_ABOVE = 200  # vertices; the outline of a larger mesh is taken from its convex hull
@@ -54,6 +55,12 @@ class World:
     """Largest shift of the origin along camera x and y, either way."""
     quantum_m: float = 2.0 / 65535
     """Depth step of the 16-bit image (paper, "Simulator")."""
+    in_hand: InHand | None = None
+    """Where given, a gripper holds the object: pairs have these losses in place of the paper's rectangle."""
+
+    def sometimes_in_hand(self, rng: Generator, share: float) -> "World":
+        """This world, or for a share of the draws the preset ``in_hand`` before the camera of this one."""
+        return replace(WORLDS["in_hand"], camera=self.camera) if share > 0 and rng.random() < share else self
 
     def place(self, rng: Generator, mesh: trimesh.Trimesh) -> Placement:
         """Draw the size and the position of a centred mesh."""
@@ -69,6 +76,9 @@ WORLDS = {
     # the simulator of the paper's release; the paper leaves these values out
     "paper": World(Camera(128, 128, 300.0, 300.0, 64.0, 64.0), None, (0.20, 0.25), (0.57, 0.62), 0.01),
     "benchmark": World(Camera(128, 128, 331.0, 331.0, 64.0, 64.0), 0.1, (0.0, 0.0), (0.59, 0.61), 0.01),
+    "in_hand": World(
+        Camera(128, 128, 331.0, 331.0, 64.0, 64.0), None, (0.10, 0.17), (0.55, 0.75), 0.015, in_hand=InHand()
+    ),
 }
 
 
@@ -145,9 +155,15 @@ class Renderer:
         surface = (points_m - placement.center_m) @ R_camera_object / placement.scale_m
         source = (projector_m - placement.center_m) @ R_camera_object / placement.scale_m
         towards = surface - source  # a point is lit if the ray from the projector hits nothing before it
-        origin = np.broadcast_to(source.astype(np.float32), towards.shape)
-        distance = self._scene.run(origin, towards.astype(np.float32), query="DISTANCE")
-        return np.asarray(distance < 1 - 2e-3)
+        return np.asarray(self.distances(np.broadcast_to(source, towards.shape), towards) < 1 - 2e-3)
+
+    def distances(
+        self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
+    ) -> Float[np.ndarray, " n"]:
+        """How far each ray goes until it first hits the object, over the length of its direction; very large where it
+        misses. Both in the mesh's frame and unit."""
+        rays = origins.astype(np.float32), directions.astype(np.float32)
+        return np.asarray(self._scene.run(*rays, query="DISTANCE"))
 
     def rays(
         self, camera: Camera, R_camera_object: Float[np.ndarray, "3 3"], placement: Placement
