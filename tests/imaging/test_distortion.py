@@ -102,7 +102,7 @@ def test_nothing_folds_back_into_the_image():
     assert np.all(np.sign(row[inside] + 0.5 - 100) == np.sign(rays[:, 1]))
 
 
-def test_a_depth_file_and_its_mask_are_undistorted_alike(tmp_path):
+def test_a_depth_file_and_its_mask_are_undistorted_alike(tmp_path, caplog):
     raw = np.full((120, 160), 600, np.uint16)
     raw[20:50, 100:150] = 800
     np.save(tmp_path / "depth.npy", raw)
@@ -112,6 +112,7 @@ def test_a_depth_file_and_its_mask_are_undistorted_alike(tmp_path):
         '{"width": 160, "height": 120, "K": [130, 0, 83, 0, 125, 56.5, 0, 0, 1], "D": [-0.3, 0.1, 0.001, -0.002, 0]}'
     )
     image, mask = read_depth(tmp_path / "depth.npy", camera), read_mask(tmp_path / "mask.npy", camera)
+    assert "lens distortion of" in caplog.text
     assert np.array_equal(mask, np.isclose(image.depth_m, 0.8))
     assert not np.array_equal(mask, raw == 800)
     write_camera(tmp_path / "plain.json", CAMERA)

@@ -15,6 +15,7 @@ from reorient.imaging.distortion import Distortion
 from reorient.imaging.files import read_camera, read_depth
 from reorient.imaging.intrinsic_fields import Intrinsics
 from reorient.imaging.intrinsics import read_intrinsics
+from reorient.imaging.matlab import read_mat
 
 F, C, SIZE = (612.5, 610.25), (321.0, 238.5), (640, 480)
 INTEGERS = Intrinsics(*F, C[0] + 0.5, C[1] + 0.5, *SIZE)  # a file that counts pixel centres at integers
@@ -526,6 +527,12 @@ def test_an_azure_kinect_file_that_does_not_fit_is_refused(tmp_path):
         ("entity.xml", '<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>', "has an XML document type"),
         ("cut.xml", OPENCV_XML[:200], "cannot read camera file"),
         ("cut.yaml", "K: [1, 2", "cannot read camera file"),
+        (
+            "roi.yaml",
+            ROS1.replace("x_offset: 0", "x_offset: .inf").replace("  width: 0", "  width: 5"),
+            "inf px: expected",
+        ),
+        ("roi.yaml", ROS1.replace("binning_x: 0", "binning_x: 1.0e+300"), "px: expected a whole number"),
         ("zero.yaml", ROS1.replace("612.5", "0.0"), "expected finite pixels, fx, fy > 0"),
         ("skew.txt", "612.5 3 321\n0 610.25 238.5\n0 0 1", "without skew"),
         ("four.txt", "1 2 3 4", "missing intrinsics"),
@@ -545,6 +552,34 @@ def test_a_pickle_is_named_and_not_loaded(tmp_path):
         (tmp_path / name).write_bytes(pickle.dumps(K))
         with pytest.raises(ReorientError, match="is a pickle, which can run code"):
             read_camera(tmp_path / name)
+
+
+@pytest.mark.parametrize("compressed", [True, False])
+def test_matlab_files_hold_matrices_of_any_number(compressed, tmp_path, rng):
+    """As scipy writes them; whatever is no matrix of numbers beside them is left out."""
+    path = tmp_path / "meta.mat"
+    several = {
+        "a": rng.normal(size=(3, 4)),
+        "b": rng.integers(-5, 5, (2, 3, 4)).astype(np.int16),
+        "c": np.float32([[1.5]]),
+        "text": "words",
+        "cell": np.array([1, "x"], object),
+        "factor_depth": 1000,
+    }
+    savemat(path, several, do_compression=compressed)
+    found = read_mat(path.read_bytes())
+    assert set(found) == {"a", "b", "c", "factor_depth"}
+    for name in ("a", "b", "c"):
+        assert np.array_equal(found[name], several[name])
+    assert found["factor_depth"].item() == 1000
+    whole = path.read_bytes()
+    for share in (0.1, 0.5, 0.9):
+        path.write_bytes(whole[: int(share * len(whole))])
+        with pytest.raises(ReorientError, match="expected"):
+            read_camera(path)
+    path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(600))
+    with pytest.raises(ReorientError, match="is a MATLAB 7.3 file: expected one saved with -v7"):
+        read_camera(path)
 
 
 def test_a_size_for_a_file_without_one(tmp_path):

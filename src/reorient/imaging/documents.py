@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from reorient.errors import ReorientError
+from reorient.imaging.matlab import read_mat
 
 _LARGEST_BYTES = 50_000_000  # a BOP scene of 10,000 frames has 3 MB
 _PICKLES = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")  # the first bytes of protocols 2 to 5
@@ -76,19 +77,10 @@ def _from_npz(path: Path) -> Any:
 
 
 def _from_mat(path: Path) -> Any:
-    from scipy.io import loadmat
-
-    try:
-        return _plain(loadmat(path, simplify_cells=True))
-    except NotImplementedError as error:
-        raise ReorientError("is a MATLAB 7.3 file: expected one saved with -v7") from error
-
-
-def _plain(data: Any) -> Any:
-    """Arrays as lists, at any depth of a dict."""
-    if isinstance(data, dict):
-        return {str(key): _plain(value) for key, value in data.items() if not str(key).startswith("__")}
-    return data.tolist() if isinstance(data, np.ndarray | np.generic) else data
+    """Arrays of one number as the number."""
+    return {
+        name: array.item() if array.size == 1 else array.tolist() for name, array in read_mat(path.read_bytes()).items()
+    }
 
 
 def _from_text(text: str, suffix: str) -> Any:

@@ -5,6 +5,7 @@ Depth: 16-bit PNG, TIFF and PGM, integer .npy and .npz (metres per unit from the
 """
 
 import json
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from reorient.imaging.intrinsics import camera_data, fitted, intrinsics_from, re
 from reorient.runs.files import replacing
 
 __all__ = ["read_camera", "read_depth", "read_mask", "write_camera", "write_depth"]
+_NOTES = logging.getLogger(__name__)
 WRITTEN = (".png", ".npy", ".npz", ".tif", ".tiff")
 CameraChoice = Camera | str | Path | None
 """A camera, or a camera file."""
@@ -52,6 +54,9 @@ def read_depth(path: str | Path, camera: CameraChoice = None, scale_m: float | N
         if array.shape[-1:] == (3,) and array.shape != (pinhole.height, pinhole.width):
             return DepthImage.from_points(depth, pinhole, stamp_s)
         if intrinsics.distortion:
+            _NOTES.warning(
+                "note: the lens distortion of %r is undone; boxes are in the pixels of that image", str(path)
+            )
             depth = intrinsics.distortion.undone(depth, pinhole, np.nan)
             unknown = intrinsics.distortion.undone(unknown, pinhole, True)
         return DepthImage(depth, pinhole, stamp_s, unknown)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from reorient.errors import ReorientError
-from reorient.imaging.camera import Camera
+from reorient.imaging.camera import LARGEST_PX, Camera
 from reorient.imaging.distortion import Distortion, Model
 
 Fields = Mapping[str, Any]
@@ -245,7 +245,7 @@ def _nonzero(value: Any) -> bool:
 def _windowed(intrinsics: Intrinsics, fields: Fields) -> Intrinsics:
     """ROS: a window (``roi``) and binning of the sensor that width, height, K refer to."""
     roi = fields.get("roi")
-    window = {bare(key): int(_number(x)) for key, x in roi.items()} if isinstance(roi, Mapping) else {}
+    window = {bare(key): _whole(x) for key, x in roi.items()} if isinstance(roi, Mapping) else {}
     if window.get("width") and window.get("height"):
         left, top = window.get("xoffset", 0), window.get("yoffset", 0)
         intrinsics = replace(
@@ -255,7 +255,7 @@ def _windowed(intrinsics: Intrinsics, fields: Fields) -> Intrinsics:
             cx=intrinsics.cx - left,
             cy=intrinsics.cy - top,
         )
-    x, y = (max(1, int(_number(fields.get(name, 1)))) for name in ("binningx", "binningy"))
+    x, y = (max(1, _whole(fields.get(name, 1))) for name in ("binningx", "binningy"))
     if (x, y) == (1, 1) or intrinsics.width is None or intrinsics.height is None:
         return intrinsics
     return replace(
@@ -272,6 +272,14 @@ def _windowed(intrinsics: Intrinsics, fields: Fields) -> Intrinsics:
 def _first(fields: Fields, names: tuple[str, ...]) -> Any:
     """The first of these fields that holds one value."""
     return next((fields[name] for name in names if isinstance(fields.get(name), int | float | str)), None)
+
+
+def _whole(value: Any) -> int:
+    """A whole number from 0. Raises ReorientError for anything else."""
+    number = _number(value)
+    if not 0 <= number <= LARGEST_PX:
+        raise ReorientError(f"{number:g} px: expected a whole number from 0 to {LARGEST_PX}")
+    return int(number)
 
 
 def _number(value: Any) -> float:

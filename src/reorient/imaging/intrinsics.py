@@ -108,7 +108,7 @@ def intrinsics_from(
         return _chosen(cameras, size, image, name)
     except ReorientError as error:
         raise ReorientError(f"camera in {source!r}: {error}") from error
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError, RecursionError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, ArithmeticError, RecursionError) as error:
         raise ReorientError(f"camera in {source!r} has no intrinsics ({type(error).__name__}): {_EXPECTED}") from error
 
 
