@@ -234,8 +234,7 @@ def _azure(data: Any, size: tuple[int, int] | None, name: str) -> Intrinsics:
         raise ReorientError(
             f"no mode of an Azure Kinect has {size[0]} x {size[1]} px: expected an unscaled image of one"
         )
-    camera = next(one for one in data["Cameras"] if str(one["Location"]).endswith(location))
-    lens = camera["Intrinsics"]
+    lens = {str(one["Location"])[-len(location) :]: one["Intrinsics"] for one in data["Cameras"]}[location]
     cx, cy, fx, fy, k1, k2, k3, k4, k5, k6, codx, cody, p2, p1 = map(float, lens["ModelParameters"])
     if codx or cody:
         raise ReorientError("a centre of distortion (codx, cody) is not understood: expected undistorted images")
