@@ -4,6 +4,7 @@ import csv
 import gzip
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -149,6 +150,15 @@ def test_symmetric_poses_have_no_error(dataset, rng):
         assert model.mssd_m(T @ symmetric, T) < 1e-9
         tilted = T @ se3.transform(so3.exp(np.array([0.3, 0.0, 0.0])), np.array([0.0, 0.0, 0.01]))
         assert model.rotation_error(tilted[:3, :3], T[:3, :3]) == pytest.approx(0.3)
+
+
+def test_an_axis_of_symmetry_may_lie_anywhere(dataset):
+    """A model that is not centred: its axis passes through the offset."""
+    model, offset_m = load_model(dataset, 2), np.array([0.02, -0.01, 0.03])
+    shifted = replace(model, vertices_m=model.vertices_m + offset_m, discrete=np.eye(4)[None], offsets_m=offset_m[None])
+    R = so3.exp(np.array([0.0, 0.0, 2 * np.pi * 40 / 315]))
+    assert shifted.mssd_m(se3.transform(R, offset_m - R @ offset_m), np.eye(4)) < 1e-9
+    assert shifted.mssd_m(se3.transform(R, np.zeros(3)), np.eye(4)) > 0.01
 
 
 def test_mssd_is_the_largest_distance_over_all_vertices(dataset, rng):

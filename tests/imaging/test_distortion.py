@@ -105,7 +105,9 @@ def test_nothing_folds_back_into_the_image():
 def test_a_depth_file_and_its_mask_are_undistorted_alike(tmp_path, caplog):
     raw = np.full((120, 160), 600, np.uint16)
     raw[20:50, 100:150] = 800
+    raw[70:90, 10:40] = 65535
     np.save(tmp_path / "depth.npy", raw)
+    np.save(tmp_path / "no_return.npy", raw == 65535)
     np.save(tmp_path / "mask.npy", raw == 800)
     camera = tmp_path / "camera.json"
     camera.write_text(
@@ -115,6 +117,7 @@ def test_a_depth_file_and_its_mask_are_undistorted_alike(tmp_path, caplog):
     assert "lens distortion of" in caplog.text
     assert np.array_equal(mask, np.isclose(image.depth_m, 0.8))
     assert not np.array_equal(mask, raw == 800)
+    assert np.array_equal(image.unknown, read_mask(tmp_path / "no_return.npy", camera))
     write_camera(tmp_path / "plain.json", CAMERA)
     assert np.array_equal(read_mask(tmp_path / "mask.npy", tmp_path / "plain.json"), raw == 800)
 

@@ -10,9 +10,9 @@ from PIL import Image
 from scipy.io import savemat
 
 from reorient.errors import ReorientError
-from reorient.imaging import Camera
+from reorient.imaging import Camera, DepthImage
 from reorient.imaging.distortion import Distortion
-from reorient.imaging.files import read_camera, read_depth
+from reorient.imaging.files import read_camera, read_depth, write_depth
 from reorient.imaging.intrinsic_fields import Intrinsics
 from reorient.imaging.intrinsics import read_intrinsics
 from reorient.imaging.matlab import read_mat
@@ -340,6 +340,8 @@ def test_the_scale_of_the_option_and_of_the_image_come_first(tmp_path, frame):
     camera = written(tmp_path, "camera.json", BOP_CAMERA)
     assert read_depth(frame, camera).depth_m[0, 0] == pytest.approx(0.24)
     assert read_depth(frame, camera, scale_m=0.0005).depth_m[0, 0] == pytest.approx(1.2)
+    write_depth(tmp_path / "own.png", DepthImage(RAW * 0.0003, Camera(640, 480, 600, 600, 320, 240)), scale_m=0.0003)
+    assert read_depth(tmp_path / "own.png", camera).depth_m[0, 0] == pytest.approx(0.72)
 
 
 # --- several cameras ------------------------------------------------------------------------------------------------
