@@ -220,7 +220,7 @@ def test_8_bits_are_no_depth(tmp_path, camera):
 def test_a_cloud_in_no_order_needs_a_camera_with_a_size(tmp_path, camera, depth_m):
     (tmp_path / "c.ply").write_bytes(ply(camera.rays() * depth_m[..., None], "ascii", organised=False))
     (tmp_path / "K.txt").write_text("110 0 44.75\n0 104 33\n0 0 1")
-    with pytest.raises(ReorientError, match="holds 6912 points in no order .*expected width and height"):
+    with pytest.raises(ReorientError, match="holds 6912 points in no order, .*expected width and height"):
         read_depth(tmp_path / "c.ply", tmp_path / "K.txt")
     write_camera(tmp_path / "c.json", camera)
     assert_same(read_depth(tmp_path / "c.ply", tmp_path / "c.json"), depth_m, camera)

@@ -3,6 +3,7 @@
 import json
 import logging
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -380,6 +381,13 @@ def test_the_size_of_the_image_chooses_the_stream(tmp_path):
 
 
 # --- another resolution ---------------------------------------------------------------------------------------------
+
+
+def test_intrinsics_are_read_once_for_many_images(tmp_path, frame):
+    intrinsics = read_intrinsics(written(tmp_path, "camera.json", BOP_CAMERA))
+    assert read_depth(frame, intrinsics).depth_m[0, 0] == pytest.approx(0.24)
+    with pytest.raises(ReorientError, match="the camera' is for 1280 x 720 px"):
+        read_depth(frame, replace(intrinsics, width=1280, height=720))
 
 
 def test_another_resolution_is_scaled_and_noted(tmp_path, frame, caplog):

@@ -20,6 +20,7 @@ from reorient.errors import ReorientError
 from reorient.imaging import DepthImage, isolate
 from reorient.imaging.documents import read_document
 from reorient.imaging.files import read_depth, read_mask
+from reorient.imaging.intrinsics import intrinsics_from
 from reorient.se3 import Transform
 from reorient.world.meshes import load_mesh
 
@@ -56,7 +57,8 @@ class View:
         """The object alone, by its ``mask_visib``. Raises ReorientError for missing or broken files."""
         files = [self.folder / "depth" / f"{self.image:06d}{suffix}" for suffix in (".png", ".tif")]
         file = next((file for file in files if file.is_file()), files[0])
-        image = read_depth(file, f"{self.folder / 'scene_camera.json'}#{self.image}")
+        cameras = _scene(self.folder, "scene_camera.json")
+        image = read_depth(file, intrinsics_from(cameras.get(str(self.image)), str(self.folder / "scene_camera.json")))
         mask = read_mask(self.folder / "mask_visib" / f"{self.image:06d}_{self.annotation:06d}.png")
         return isolate(image, mask)
 

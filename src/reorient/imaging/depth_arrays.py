@@ -3,7 +3,6 @@
 A reader returns the array as stored and what the file states beside it: ``camera`` (JSON), ``scale_m``, ``stamp_s``.
 """
 
-import json
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
@@ -95,7 +94,7 @@ def _read_picture(path: Path) -> Read:
             stated = parse_json(picture.info.get("reorient", "{}"))
         else:
             description = picture.tag_v2.get(TIFF_DESCRIPTION, "")  # type: ignore[attr-defined]
-            stated = json.loads(description) if description.startswith("{") else {}
+            stated = parse_json(description) if description.startswith("{") else {}
         return np.array(picture), stated
 
 

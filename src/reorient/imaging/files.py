@@ -24,8 +24,8 @@ from reorient.runs.files import replacing
 __all__ = ["read_camera", "read_depth", "read_mask", "write_camera", "write_depth"]
 _NOTES = logging.getLogger(__name__)
 WRITTEN = (".png", ".npy", ".npz", ".tif", ".tiff")
-CameraChoice = Camera | str | Path | None
-"""A camera, or a camera file."""
+CameraChoice = Camera | Intrinsics | str | Path | None
+"""A camera, a camera file, or what ``read_intrinsics`` returned for one, to read many images with it."""
 
 
 def read_depth(path: str | Path, camera: CameraChoice = None, scale_m: float | None = None) -> DepthImage:
@@ -78,10 +78,9 @@ def read_mask(path: str | Path, camera: CameraChoice = None) -> np.ndarray:
     except Exception as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         raise ReorientError(f"cannot read mask {str(path)!r} ({reason}): expected a picture or a .npy array") from error
-    if not isinstance(camera, str | Path) or mask.ndim != 2:
+    if not isinstance(camera, Intrinsics | str | Path) or mask.ndim != 2:
         return mask
-    size = (mask.shape[1], mask.shape[0])
-    intrinsics = fitted(read_intrinsics(camera, size, path), size, str(camera), str(path))
+    intrinsics = _intrinsics(path, mask, {}, camera)
     return intrinsics.distortion.undone(mask, intrinsics.camera(), False) if intrinsics.distortion else mask
 
 
@@ -142,12 +141,13 @@ def _intrinsics(path: Path, array: np.ndarray, stated: dict[str, Any], camera: C
     size = (array.shape[1], array.shape[0]) if organised else None
     if camera is None:
         return intrinsics_from(stated["camera"], str(path))
-    intrinsics = read_intrinsics(camera, size, path)
+    known = isinstance(camera, Intrinsics)
+    intrinsics = camera if isinstance(camera, Intrinsics) else read_intrinsics(camera, size, path)
     if size is not None:
-        return fitted(intrinsics, size, str(camera), str(path))
+        return fitted(intrinsics, size, "the camera" if known else str(camera), str(path))
     if intrinsics.width is None or intrinsics.height is None:
         raise ReorientError(
-            f"{str(path)!r} holds {len(array)} points in no order and {str(camera)!r} no image size: expected width "
+            f"{str(path)!r} holds {len(array)} points in no order, and its camera has no image size: expected width "
             "and height in the camera file"
         )
     return intrinsics
