@@ -20,6 +20,7 @@ from reorient.estimators import load_estimator
 from reorient.estimators.base import Estimator, as_estimate
 from reorient.experiments.cached import cached_estimator, cached_object
 from reorient.imaging import DepthImage
+from reorient.plugins import USER_ERRORS, in_words
 from reorient.runs.pool import Pool
 from reorient.runs.provenance import read_record
 from reorient.runs.run import CONFIG, Progress, Row, RowStore, Tables, resumable
@@ -206,13 +207,13 @@ def measured(
 ) -> tuple[Transform, dict[str, str]]:
     """T_goal_current of an estimator, and the cells of a row that need no truth.
 
-    One that raises ReorientError counts as "no rotation"; ``message`` is the error.
+    One that raises an error counts as "no rotation"; ``message`` is the error.
     """
     begin = time.process_time()
     try:
         estimate = as_estimate(estimator.estimate(current, goal, pivot_m), current, goal)
-    except ReorientError as error:
-        T, message, figures = np.eye(4), str(error), {}
+    except USER_ERRORS as error:
+        T, message, figures = np.eye(4), in_words(error), {}
     else:
         T, message = estimate.T_goal_current, ""
         evidence = estimate.evidence
