@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from reorient.errors import ReorientError, StationError
     from reorient.estimators import load_estimator
     from reorient.estimators.base import Estimator, RotationEstimate
-    from reorient.imaging import Camera, DepthImage, isolate
+    from reorient.imaging import Camera, DepthImage, Isolation, isolate
     from reorient.imaging.files import read_camera, read_depth
 
 __version__ = "0.1.0.dev0"
@@ -24,6 +24,7 @@ __all__ = [
     "DepthImage",
     "Estimator",
     "Fusing",
+    "Isolation",
     "Limits",
     "OrientResult",
     "ReorientError",
@@ -44,7 +45,7 @@ _MODULES = {
     "errors": ("ReorientError", "StationError"),
     "estimators": ("load_estimator",),
     "estimators.base": ("Estimator", "RotationEstimate"),
-    "imaging": ("Camera", "DepthImage", "isolate"),
+    "imaging": ("Camera", "DepthImage", "Isolation", "isolate"),
     "imaging.files": ("read_camera", "read_depth"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}

@@ -1,4 +1,4 @@
-"""Cameras and depth images: checks, points, crops, isolation."""
+"""Cameras and depth images: checks, points, crops."""
 
 from dataclasses import astuple
 
@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from reorient.errors import ReorientError
-from reorient.imaging import Camera, DepthImage, isolate
-from reorient.imaging.isolation import require_isolated
+from reorient.imaging import Camera, DepthImage
 
 
 @pytest.fixture
@@ -263,65 +262,6 @@ def test_resizing_keeps_the_field_of_view(camera):
     for c, (width, height) in ((camera, (96, 72)), (half, (48, 144))):
         x = (corners / (96, 72) * (width, height) - (c.cx, c.cy)) / (c.fx, c.fy)
         assert np.allclose(x, (corners - (45.25, 33.5)) / (110, 104))
-
-
-# --- isolation ------------------------------------------------------------------------------------------------------
-
-
-def test_isolate_by_mask_box_and_range_keeps_what_satisfies_all(image):
-    rows, columns = np.mgrid[:72, :96]
-    mask = columns > rows
-    isolated = isolate(image, mask=mask, box_px=(20, 30, 30, 25), near_m=0.55, far_m=0.65)
-    inside = (columns >= 20) & (columns < 50) & (rows >= 30) & (rows < 55)
-    expected = image.valid & mask & inside & (image.depth_m >= 0.55) & (image.depth_m <= 0.65)
-    assert 0 < expected.sum() < image.valid.sum()
-    assert np.array_equal(isolated.depth_m, np.where(expected, image.depth_m, 0))
-    assert isolated.camera == image.camera
-    assert isolated.stamp_s == image.stamp_s
-
-
-def test_isolate_without_arguments_changes_nothing(image):
-    assert np.array_equal(isolate(image).depth_m, image.depth_m)
-
-
-def test_a_box_may_reach_beyond_the_image(image):
-    assert np.array_equal(isolate(image, box_px=(-50, -50, 500, 500)).depth_m, image.depth_m)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"mask": np.ones((96, 72), bool)}, r"mask of shape \(96, 72\): expected \(72, 96\)"),
-        ({"mask": np.zeros((72, 96), bool)}, "the mask is empty"),
-        ({"box_px": (0, 0, 0, 5)}, "box of 0 x 5 px: expected left, top, width, height"),
-        ({"box_px": (0, 0, 5)}, r"box \(0, 0, 5\): expected left, top, width, height in whole pixels"),
-        ({"box_px": (0.5, 0, 5, 5)}, "expected left, top, width, height in whole pixels"),
-        ({"box_px": (-40, -40, 30, 30)}, "nothing is left of the image"),
-        ({"near_m": 0.8}, r"no returns beyond 0.8 m \(depths are "),
-        ({"far_m": 0.3}, r"no returns between 0 and 0.3 m \(depths are "),
-        ({"near_m": 0.6, "far_m": 0.5}, "depth range 0.6 to 0.5 m: expected near below far"),
-    ],
-)
-@pytest.mark.usefixtures("unchecked")
-def test_isolate_refuses(arguments, message, image):
-    with pytest.raises(ReorientError, match=message):
-        isolate(image, **arguments)
-
-
-def test_a_full_frame_is_no_isolated_object(camera):
-    full = DepthImage(FLAT, camera)
-    for refused in (isolate, require_isolated):
-        with pytest.raises(ReorientError, match="isolate the object: returns fill 100% of the image"):
-            refused(full)
-    assert isolate(full, box_px=(0, 0, 50, 72)).valid.mean() < 0.6
-    with pytest.raises(ReorientError, match="isolate the object: returns fill 62%"):
-        isolate(full, box_px=(0, 0, 60, 72))
-
-
-def test_a_tight_crop_of_an_object_is_isolated(image):
-    crop = image.cropped(8, 21, 54, 38)
-    assert crop.valid.mean() > 0.6
-    assert np.array_equal(isolate(crop).depth_m, crop.depth_m)
 
 
 def test_a_window_without_size_is_refused(image):

@@ -1,95 +1,22 @@
-"""The verb estimate, the options that isolate an object, and the text of an estimate."""
+"""The verb estimate, and the text of an estimate."""
 
 import json
+import sys
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
 from reorient import so3
 from reorient.cli.arguments import Metavar, Positional
-from reorient.errors import ReorientError
+from reorient.cli.isolating import Frames
 from reorient.formatting import format_number, format_probability, format_share
 from reorient.plugins import in_one_line
 
 if TYPE_CHECKING:
     from reorient.estimators.base import RotationEstimate
-    from reorient.imaging import DepthImage
     from reorient.registration import Evidence
-
-T = TypeVar("T")
-
-
-@dataclass(frozen=True)
-class Frames:
-    """Reading and isolation of the images.
-
-    One value is for both images, two are for CURRENT and GOAL. For --camera, --mask, --near and --far the value '-' is
-    none: "--near 0.3 -" limits CURRENT.
-    """
-
-    camera: Annotated[tuple[str, ...], Metavar("PATH")] = ()
-    """Camera file of any tool that docs/formats.md lists, not needed where the image file has its camera; PATH#NAME
-    chooses one of several cameras. Its lens distortion is undone."""
-    depth_scale: Annotated[tuple[float, ...], Metavar("M")] = ()
-    """Metres per unit of integer depth, by default the image's own, else the camera file's, else 0.001."""
-    mask: Annotated[tuple[str, ...], Metavar("PATH")] = ()
-    """Image or .npy array that is not zero on the object."""
-    box: Annotated[tuple[int, ...], Metavar("PX")] = ()
-    """Left, top, width and height of the box that holds the object: four numbers, or eight for two boxes."""
-    near: Annotated[tuple[str, ...], Metavar("M")] = ()
-    """Ignore returns nearer than this, in metres."""
-    far: Annotated[tuple[str, ...], Metavar("M")] = ()
-    """Ignore returns farther than this, in metres."""
-
-    def read(self, path: Path, *, goal: bool) -> "DepthImage":
-        """The isolated image; ``goal``: by the options for GOAL, not those for CURRENT."""
-        from reorient.imaging import isolate
-        from reorient.imaging.files import read_depth, read_mask
-
-        camera_file, mask = _each(self.camera, goal, "--camera"), _each(self.mask, goal, "--mask")
-        if len(self.box) not in (0, 4, 8):
-            raise ReorientError(f"--box with {len(self.box)} numbers: expected left top width height, once or twice")
-        box = self.box[4:] if goal and len(self.box) == 8 else self.box[:4]
-        near_m, far_m = _metres(self.near, goal, "--near"), _metres(self.far, goal, "--far")
-        if near_m is not None and far_m is not None and near_m >= far_m:
-            raise ReorientError(f"--near {near_m:g} --far {far_m:g}: expected --near below --far")
-        camera = None if camera_file == "-" else camera_file
-        image = read_depth(path, camera, _each(self.depth_scale, goal, "--depth-scale"))
-        mask_array = None if mask in (None, "-") else read_mask(mask, camera)
-        box_px = (box[0], box[1], box[2], box[3]) if box else None
-        try:
-            return isolate(image, mask_array, box_px, near_m, far_m)
-        except ReorientError as error:
-            raise ReorientError(f"{path}: {error}") from error
-
-
-@dataclass(frozen=True)
-class GoalFrame(Frames):
-    """Reading and isolation of GOAL.
-
-    The images of the station are used as they are.
-    """
-
-
-def _each(values: tuple[T, ...], goal: bool, flag: str) -> T | None:
-    if len(values) > 2:
-        raise ReorientError(f"{flag} with {len(values)} values: expected one for both images, or two")
-    return (values[-1] if goal else values[0]) if values else None
-
-
-def _metres(values: tuple[str, ...], goal: bool, flag: str) -> float | None:
-    value = _each(values, goal, flag)
-    if value in (None, "-"):
-        return None
-    try:
-        metres = float(value)
-    except ValueError:
-        metres = -1.0
-    if not metres >= 0:
-        raise ReorientError(f"{flag} {value}: expected metres from 0, or '-' for none")
-    return metres
 
 
 @dataclass(frozen=True)
@@ -101,7 +28,7 @@ class Estimate:
 
     Examples:
         reorient estimate now.npz goal.npz
-        reorient estimate now.png goal.png --camera camera.json --box 200 120 256 256 --far 0.9
+        reorient estimate now.png goal.png --camera camera.json --box 200 120 256 256 --remove-plane --show-input in.png
     """
 
     current: Positional[Path]
@@ -116,6 +43,8 @@ class Estimate:
     """Rotation centre in camera axes, in metres, if known to about 1 cm."""
     json: bool = False
     """Print a JSON object instead of text."""
+    show_input: Path | None = None
+    """Draw both frames with the isolated object, removed returns and unknown pixels (.png, .jpg)."""
     explain: Path | None = None
     """Draw both images and the evidence for the estimate (.png, .jpg)."""
 
@@ -123,13 +52,16 @@ class Estimate:
         """Read, isolate, estimate, print, draw."""
         from reorient.estimators import load_estimator
         from reorient.estimators.base import as_estimate
+        from reorient.imaging.summary import Summary, pair_warnings
 
-        if self.explain is not None:
-            from reorient.reporting.pictures import check_suffix
+        for path in (self.show_input, self.explain):
+            if path is not None:
+                from reorient.reporting.pictures import check_suffix
 
-            check_suffix(self.explain)
+                check_suffix(path)
         estimator = load_estimator(self.estimator)
-        current, goal = self.frames.read(self.current, goal=False), self.frames.read(self.goal, goal=True)
+        inputs = self.frames.read_pair(self.current, self.goal, self.show_input)
+        current, goal = (each.isolated for each in inputs)
         pivot_m = None if self.pivot is None else np.array(self.pivot)
         with in_one_line("the estimator failed"):
             estimate = as_estimate(estimator.estimate(current, goal, pivot_m), current, goal)
@@ -139,7 +71,14 @@ class Estimate:
 
             with replacing(self.explain) as temporary:
                 picture(current, goal, estimate).save(temporary)
-        print(json.dumps(as_data(estimate), indent=2) if self.json else in_words(estimate))
+        summaries = {each.name: Summary.of(each.isolated) for each in inputs}
+        for warning in (*pair_warnings(*summaries.values()), *estimate.warnings):
+            print(f"reorient: warning: {warning}", file=sys.stderr)
+        if self.json:
+            print(json.dumps(as_data(estimate) | {name: asdict(each) for name, each in summaries.items()}, indent=2))
+        else:
+            print("\n".join(f"{name:13s} {summary}" for name, summary in summaries.items()))
+            print(in_words(estimate))
 
 
 def as_data(estimate: "RotationEstimate") -> dict[str, Any]:
@@ -156,6 +95,8 @@ def as_data(estimate: "RotationEstimate") -> dict[str, Any]:
         "confidence": estimate.confidence,
         "alternatives": [{"R_goal_current": R.tolist(), "probability": p} for R, p in estimate.alternatives],
         "covariance_rad2": None if estimate.covariance_rad2 is None else estimate.covariance_rad2.tolist(),
+        "free_axis": None if estimate.free_axis is None else estimate.free_axis.tolist(),
+        "warnings": list(estimate.warnings),
         "evidence": {name: None if x != x else x for name, x in shares.items()},  # JSON has no NaN
     }
 
@@ -174,6 +115,10 @@ def in_words(estimate: "RotationEstimate") -> str:
         f"silhouette {format_share(evidence.silhouette_violation)}",
         f"occluded      {format_share(evidence.occluded)}",
     ]
+    if estimate.free_axis is not None:
+        lines.append(
+            f"free axis     {_vector(estimate.free_axis, 4)} (every rotation about it fits: the smallest is shown)"
+        )
     for R, probability in estimate.alternatives:
         away = _rotation(R @ estimate.R_goal_current.T)
         lines.append(f"alternative   {format_probability(probability)}: the estimate rotated by {away}")

@@ -10,7 +10,8 @@ import numpy as np
 
 from reorient import __version__
 from reorient.cli.arguments import Positional
-from reorient.cli.estimating import GoalFrame, confidence_in_words
+from reorient.cli.estimating import confidence_in_words
+from reorient.cli.isolating import GoalFrame
 from reorient.cli.stations import StationChoice
 from reorient.errors import ReorientError, check_range
 from reorient.runs.files import make_folder
@@ -128,6 +129,8 @@ class Orient:
     goal: Positional[Path]
     """Depth image of the object as it should be, as written by ``reorient capture``."""
     frames: GoalFrame = field(default_factory=GoalFrame)
+    isolate_station: bool = False
+    """Isolate the images of the station by the same options, by the first of two values."""
     choice: StationChoice = field(default_factory=StationChoice)
     estimator: str = "rotation-search"
     """One of default (rotation-search), rotation-search, fast, thorough, gicp, icp, paper and swift, an .onnx file,
@@ -143,15 +146,18 @@ class Orient:
         """Close the loop; the exit code."""
         from reorient.estimators import load_estimator
         from reorient.runs.provenance import commit
+        from reorient.stations.isolated import IsolatedStation
         from reorient.stations.replay import RecordingStation
 
         chosen = self.limit_choice.of(self.choice.own)
         strategy, limits = self.strategy_choice.load(), chosen.limits()
         self.choice.check()
-        goal, estimator = self.frames.read(self.goal, goal=True), load_estimator(self.estimator)
+        goal, estimator = self.frames.read(self.goal, goal=True).isolated, load_estimator(self.estimator)
         if self.out is not None:
             make_folder(self.out)
         station = self.choice.open()
+        if self.isolate_station:
+            station = IsolatedStation(station, self.frames.isolation())
         if self.record is not None:
             weights = Path(self.estimator) if self.estimator.endswith(".onnx") else None
             about = {

@@ -11,7 +11,7 @@ from reorient import se3, so3
 from reorient.errors import ReorientError
 from reorient.imaging import DepthImage
 from reorient.imaging.depth_image import MILLIMETRES_ABOVE
-from reorient.imaging.isolation import require_isolated
+from reorient.imaging.refusals import require_isolated
 from reorient.registration import DepthView, Evidence, inlier_tolerance_m, measure_evidence
 
 History = Sequence[tuple[DepthImage, Float[np.ndarray, "3 3"]]]

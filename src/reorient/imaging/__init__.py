@@ -3,6 +3,6 @@
 from reorient.imaging.camera import Camera
 from reorient.imaging.clusters import without_strays
 from reorient.imaging.depth_image import DepthImage
-from reorient.imaging.isolation import isolate
+from reorient.imaging.isolation import Isolation, isolate
 
-__all__ = ["Camera", "DepthImage", "isolate", "without_strays"]
+__all__ = ["Camera", "DepthImage", "Isolation", "isolate", "without_strays"]

@@ -68,8 +68,9 @@ def read_depth(path: str | Path, camera: CameraChoice = None, scale_m: float | N
 def read_mask(path: str | Path, camera: CameraChoice = None) -> np.ndarray:
     """A boolean (height, width) mask: true where the .npy array, or any colour channel of the picture, is not zero.
 
-    ``camera``: that of its depth image. Where it is a file with lens distortion, the mask is undistorted in the same
-    way. Raises ReorientError for a missing or broken file.
+    Of an RGBA picture with transparent pixels (a cut-out) the mask is where it is at least half opaque. ``camera``: that
+    of its depth image. Where it is a file with lens distortion, the mask is undistorted in the same way. Raises
+    ReorientError for a missing or broken file.
     """
     path = existing(path, "mask")
     refuse_pickle(path)
@@ -90,7 +91,10 @@ def _mask(path: Path) -> np.ndarray:
     with Image.open(path) as picture:
         if picture.mode != "P" and len(picture.getbands()) == 1:  # RGB would clip its numbers
             return np.asarray(np.asarray(picture) != 0)
-        return np.asarray(np.asarray(picture.convert("RGB")).max(axis=-1) > 0)  # transparency is ignored
+        rgba = np.asarray(picture.convert("RGBA"))
+        opaque = rgba[..., 3] >= 128
+        is_cut_out = picture.mode == "RGBA" and opaque.any() and rgba[..., 3].min() == 0
+        return np.asarray(opaque if is_cut_out else rgba[..., :3].max(axis=-1) > 0)
 
 
 def write_depth(path: str | Path, image: DepthImage, scale_m: float = SCALE_M) -> None:

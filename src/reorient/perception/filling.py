@@ -6,9 +6,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy import ndimage
 
+from reorient.imaging.masks import Mask
 from reorient.perception.calibration import Calibration
 from reorient.perception.colour import ColourTable
-from reorient.perception.frame import Frame, Mask, align
+from reorient.perception.frame import Frame, align
 
 _GAP_M = 0.02  # missing returns within this distance of the object on both sides are filled
 _NEARBY_M = 0.04  # missing returns of the object's colour within this distance are filled

@@ -20,8 +20,6 @@ from reorient.world.rendering import Placement, Renderer
 _BLUR_PX = 1.0  # standard deviation of the filter that smooths colours
 _HIDDEN_M = 0.01  # a point this much behind the nearest one of its pixel is hidden from the colour camera
 
-Mask = Bool[np.ndarray, "height width"]
-
 
 @dataclass(frozen=True, eq=False)
 class ColorImage:

@@ -15,10 +15,12 @@ from scipy.spatial import cKDTree
 from reorient import se3
 from reorient.errors import ReorientError
 from reorient.imaging import DepthImage
+from reorient.imaging.masks import Mask, longer_side, window
+from reorient.imaging.unknown import unknown_beside
 from reorient.perception.calibration import Calibration
 from reorient.perception.colour import ColourRange
 from reorient.perception.filling import beside, filled_by_colour, filled_gaps
-from reorient.perception.frame import Frame, Mask, align, robot_depth, robot_points
+from reorient.perception.frame import Frame, align, robot_depth, robot_points
 
 CROP_PX, SIZE_PX = 256, 128  # smallest window (the paper's), and the size it is resized to
 _MARGIN = 1.1  # of a larger window, over the extent of the object
@@ -106,9 +108,13 @@ class Box:
 def isolate_object(
     frame: Frame, calibration: Calibration, segmentation: Segmentation, box: Box | None = None
 ) -> DepthImage:
-    """Depth of the object alone, 128 x 128. Raises ReorientError if no return of it is left."""
-    mask = object_returns(frame, calibration, segmentation, box)
-    return crop(replace(frame.depth, depth_m=np.where(mask, frame.depth.depth_m, np.float32(0))))
+    """Depth of the object alone, 128 x 128. Raises ReorientError if no return of it is left.
+
+    Unknown are the gripper's pixels, lost returns inside and next to the object, and what is in front of it.
+    """
+    inside, mask = _segmented(frame, calibration, segmentation, box)
+    unknown = (inside & ~mask) | unknown_beside(frame.depth, mask, inside)
+    return crop(replace(frame.depth, depth_m=np.where(mask, frame.depth.depth_m, np.float32(0)), unknown=unknown))
 
 
 def object_mask(frame: Frame, calibration: Calibration, segmentation: Segmentation, box: Box | None = None) -> Mask:
@@ -119,12 +125,19 @@ def object_mask(frame: Frame, calibration: Calibration, segmentation: Segmentati
 
 def object_returns(frame: Frame, calibration: Calibration, segmentation: Segmentation, box: Box | None = None) -> Mask:
     """The returns of the object. Raises ReorientError if there are none."""
+    return _segmented(frame, calibration, segmentation, box)[1]
+
+
+def _segmented(
+    frame: Frame, calibration: Calibration, segmentation: Segmentation, box: Box | None
+) -> tuple[Mask, Mask]:
+    """The returns inside the box, and those of the object. Raises ReorientError if there are none."""
     inside = (box or Box()).inside(frame, calibration)
     if not inside.any():
         raise ReorientError(
             "no returns in the box around the gripper: expected the gripper in view and the calibration of this cell"
         )
-    rows, columns = _extent(inside)  # only the box is segmented
+    rows, columns = window(inside)  # only the box is segmented
     part = frame.depth.cropped(columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start)
     mask = np.zeros_like(inside)
     mask[rows, columns] = _without_specks(
@@ -135,13 +148,13 @@ def object_returns(frame: Frame, calibration: Calibration, segmentation: Segment
             "the segmentation leaves nothing: expected an object in the gripper, and a colour range or margin that "
             "spares it"
         )
-    return mask
+    return inside, mask
 
 
 def crop(image: DepthImage, least_px: int = CROP_PX, size_px: int = SIZE_PX) -> DepthImage:
     """A square window around the returns of at least ``least_px``, resized by nearest neighbour."""
-    rows, columns = _extent(image.valid)
-    side = max(least_px, int(_MARGIN * max(rows.stop - rows.start, columns.stop - columns.start)) + 2)
+    rows, columns = window(image.valid)
+    side = max(least_px, int(_MARGIN * longer_side((rows, columns))) + 2)
     left, top = ((line.start + line.stop - side) // 2 for line in (columns, rows))
     return image.cropped(left, top, side, side).resized(size_px, size_px)
 
@@ -150,12 +163,6 @@ def learn_gripper_colour(empty: Frame, calibration: Calibration, box: Box | None
     """The gripper's colours, learned from one frame of the empty gripper."""
     rgb, known = align(empty, calibration)
     return ColourRange.learned(rgb[known & (box or Box()).inside(empty, calibration)])
-
-
-def _extent(mask: Mask) -> tuple[slice, slice]:
-    """The rows and columns of the bounding box of a mask."""
-    rows, columns = (np.nonzero(mask.any(axis=axis))[0] for axis in (1, 0))
-    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
 
 def _without_specks(mask: Mask) -> Mask:

@@ -1,0 +1,54 @@
+"""An isolated object in numbers, and what in a pair of images makes a wrong isolation likely."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from reorient.imaging.connected import size_m
+from reorient.imaging.depth_image import DepthImage
+
+_LARGEST_RATIO = 1.5  # of the sizes in current and goal image
+_FEWEST_PX = 3  # returns at the end of the frame of an object that touches it
+
+
+@dataclass(frozen=True)
+class Summary:
+    """The visible part of an isolated object."""
+
+    size_m: tuple[float, float, float]
+    """Extents along its principal axes, largest first, without the outermost 1% of the returns."""
+    distance_m: float
+    """Median depth."""
+    pixels: int
+    """Returns."""
+    touches_frame: bool
+    """Whether returns are at the end of the frame, so that a part of the object may be beyond it."""
+
+    @classmethod
+    def of(cls, image: DepthImage) -> "Summary":
+        """The summary of an isolated image."""
+        points_m = image.points()
+        ends = [image.valid[0], image.valid[-1], image.valid[:, 0], image.valid[:, -1]]
+        first, second, third = (float(x) for x in size_m(points_m))
+        touches = bool(max(np.count_nonzero(end) for end in ends) >= _FEWEST_PX)
+        return cls((first, second, third), float(np.median(points_m[:, 2])), len(points_m), touches)
+
+    def __str__(self) -> str:
+        extents = " x ".join(f"{1000 * x:.0f}" for x in self.size_m)
+        return f"object of {extents} mm at {self.distance_m:.2f} m, {self.pixels} px"
+
+
+def pair_warnings(current: Summary, goal: Summary) -> list[str]:
+    """What in a pair of images makes a wrong isolation likely, a sentence each."""
+    warnings = [
+        f"the object touches the frame of the {name} image: a part of it may be beyond"
+        for name, summary in (("current", current), ("goal", goal))
+        if summary.touches_frame
+    ]
+    sizes_mm = [1000 * float(np.linalg.norm(summary.size_m)) for summary in (current, goal)]
+    if max(sizes_mm) > _LARGEST_RATIO * min(sizes_mm):
+        warnings.append(
+            f"the object measures {sizes_mm[0]:.0f} mm in the current image and {sizes_mm[1]:.0f} mm in the goal "
+            "image: is it the same object, and isolated completely? (--show-input)"
+        )
+    return warnings
