@@ -11,10 +11,11 @@ from jaxtyping import Float, Float32
 from reorient import so3
 from reorient.errors import ReorientError
 from reorient.estimators.base import History, RotationEstimate, check_pair, with_evidence
-from reorient.imaging import DepthImage
+from reorient.imaging import DepthImage, without_strays
 from reorient.imaging.virtual_camera import (
     VirtualCamera,
     aim,
+    filled,
     join,
     network_input,
     outline,
@@ -101,8 +102,9 @@ class Learned:
 
     @staticmethod
     def _views(current: DepthImage, goal: DepthImage) -> tuple[VirtualCamera, list[Float32[np.ndarray, "n size size"]]]:
-        virtual = aim(join(*(outline(image.valid[None], image.camera) for image in (current, goal))))
-        return virtual, [virtual.view(image.depth_m[None, None], image.camera)[:, 0] for image in (current, goal)]
+        images = [without_strays(image) for image in (current, goal)]
+        virtual = aim(join(*(outline(image.valid[None], image.camera) for image in images)))
+        return virtual, [filled(virtual.view(image.depth_m[None, None], image.camera))[:, 0] for image in images]
 
     def _predict(
         self,
