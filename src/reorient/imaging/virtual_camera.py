@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Real
-from scipy import ndimage
+from scipy import fft, ndimage
 
 from reorient.errors import ReorientError
 from reorient.imaging.camera import Camera
@@ -204,26 +204,23 @@ def slide(
 def _slide(
     seen_m: Float32[np.ndarray, "size size"], goal_m: Float32[np.ndarray, "size size"], tangent: float
 ) -> Float[np.ndarray, "3"]:
-    valid = seen_m > 0, goal_m > 0
-    if not (valid[0].any() and valid[1].any()):
+    views_m = np.stack([seen_m, goal_m])
+    valid = views_m > 0
+    if not valid.any(axis=(1, 2)).all():
         return np.zeros(3)
     size, distance_m = len(goal_m), float(goal_m[valid[1]].mean())
-    width_m = 2 * tangent * distance_m
-    relief = [
-        np.where(mask, (view - distance_m) / width_m, 0) for view, mask in zip((seen_m, goal_m), valid, strict=True)
-    ]
-    seen, goal = (
-        [np.fft.rfft2(x, (2 * size, 2 * size)) for x in (mask, part, part**2)]
-        for mask, part in zip(valid, relief, strict=True)
-    )
-    sums = [np.fft.irfft2(np.conj(seen[a]) * goal[b]) for a, b in ((0, 0), (0, 1), (1, 0), (0, 2), (2, 0), (1, 1))]
-    common, of_goal, of_seen, goal_squares, seen_squares, products = (np.fft.fftshift(x) for x in sums)
+    width_m, padded = 2 * tangent * distance_m, (3 * size // 2, 3 * size // 2)  # shifts up to half a view either way
+    relief = np.where(valid, (views_m - distance_m) / width_m, 0)
+    seen, goal = fft.rfft2(np.stack([valid, relief, relief**2], axis=1).astype(np.float32), padded)
+    spectra = np.stack([np.conj(seen[a]) * goal[b] for a, b in ((0, 0), (0, 1), (1, 0), (0, 2), (2, 0), (1, 1))])
+    sums = fft.fftshift(fft.irfft2(spectra, padded), axes=(1, 2))
+    common, of_goal, of_seen, goal_squares, seen_squares, products = sums
     common = np.maximum(common, 1)
     variance = (seen_squares + goal_squares - 2 * products) / common - ((of_goal - of_seen) / common) ** 2
     score = common / common.max() - variance / RELIEF_SCATTER**2
     score[common < common.max() / 2] = -np.inf
     rows, columns = np.nonzero(score >= score.max() - ALIKE)
-    shift_px = np.array([columns.mean() - size, rows.mean() - size])
+    shift_px = np.array([columns.mean(), rows.mean()]) - padded[0] // 2
     moved = np.roll(seen_m, np.rint(shift_px[::-1]).astype(int), (0, 1))
     both = (moved > 0) & valid[1]
     depth_m = float(np.median(goal_m[both] - moved[both])) if both.any() else 0.0
