@@ -1,6 +1,6 @@
 """The verb capture, and the choice of a station."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from reorient.cli.arguments import Metavar, Positional
 from reorient.errors import ReorientError, check_range
+from reorient.plugins import in_one_line
 
 if TYPE_CHECKING:
     from reorient.controller.station import Station
@@ -17,8 +18,8 @@ if TYPE_CHECKING:
 class StationChoice:
     """Choice of the station."""
 
-    station: Annotated[str, Metavar("MODULE:CLASS")] = "rendered"
-    """A class of your own, importable from here and made without arguments, or 'rendered' for a simulated station."""
+    station: Annotated[str | None, Metavar("MODULE:CLASS")] = None
+    """A class of your own, importable from here and made without arguments, or 'rendered' for the simulator."""
     object_index: int = 0
     """Number of the generated object at the simulated station."""
     pose_seed: int = 0
@@ -33,15 +34,25 @@ class StationChoice:
         check_range(self, "object_index", "pose_seed", "noise_mm")
         check_range(self, "start_deg", high=180)
 
+    @property
+    def own(self) -> bool:
+        """Whether it is a class of the user's own, not the simulator."""
+        return self.station != "rendered"
+
     def open(self) -> "Station":
-        """The station, ready. Raises ReorientError where it cannot be made."""
+        """The station, ready. Raises ReorientError where it cannot be made, or none is named."""
         from reorient.stations import load_station
 
-        if self.station == "rendered":
-            return self._rendered()
-        if ":" not in self.station:
+        name = self.check()
+        return load_station(name) if self.own else self._rendered()
+
+    def check(self) -> str:
+        """The name of the station. Raises ReorientError for none, or a wrong one."""
+        if self.station is None:
+            raise ReorientError("--station is missing: expected my_module:MyStation, or 'rendered' for the simulator")
+        if self.own and ":" not in self.station:
             raise ReorientError(f"station {self.station!r}: expected 'rendered' or my_module:MyStation")
-        return load_station(self.station)
+        return self.station
 
     def _rendered(self) -> "Station":
         from reorient.stations.rendered import RenderedStation
@@ -81,12 +92,9 @@ class Capture:
         from reorient.controller.station import captured
         from reorient.imaging.files import write_depth
 
-        station: Any = self.choice.open()
-        try:  # a simulated gripper can be left out of the goal image
+        station: Any = replace(self.choice, station=self.choice.station or "rendered").open()
+        with in_one_line("the station failed to capture"):
+            # a simulated gripper can be left out of the goal image
             image = captured(station.capture_goal() if hasattr(station, "capture_goal") else station.capture())
-        except ReorientError:
-            raise
-        except Exception as error:
-            raise ReorientError(f"the station failed to capture ({type(error).__name__}: {error})") from error
         write_depth(self.out, image, scale_m=0.0001)
-        print(self.out)
+        print(self.out if self.choice.station else f"{self.out} (simulated: no --station was given)")
