@@ -86,16 +86,17 @@ def test_rounds_make_it_better():
     assert np.median(errors[:, 1]) < 0.8 * np.median(errors[:, 0])
 
 
-def test_at_the_goal_little_is_left_as_the_exchanged_pair_is_asked_too(monkeypatch):
+def test_near_the_goal_the_exchanged_pair_is_asked_too(monkeypatch):
     swift = load_estimator("swift")
 
-    def median_left():
-        same = [(goal, pivot_m) for _, goal, _, pivot_m in pairs(CAMERAS["f = 300"], 0)]
-        return np.median([swift.estimate(goal, goal, pivot_m).angle_rad for goal, pivot_m in same])
+    def mean_error(angle_deg):
+        near = pairs(CAMERAS["f = 300"], angle_deg)
+        return np.mean([so3.angle_difference(swift.estimate(*images, p).R_goal_current, R) for *images, R, p in near])
 
-    both_ways = median_left()
+    assert mean_error(0) < np.radians(0.3)
+    both_ways = mean_error(2)
     monkeypatch.setattr(learned, "NEAR_RAD", 0.0)
-    assert both_ways < 0.6 * median_left()
+    assert both_ways < 0.93 * mean_error(2)
 
 
 def test_the_same_images_give_the_same_answer():
