@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from reorient.errors import ReorientError, StationError
     from reorient.estimators import load_estimator
     from reorient.estimators.base import Estimator, RotationEstimate
-    from reorient.imaging import Camera, DepthImage
+    from reorient.imaging import Camera, DepthImage, isolate
+    from reorient.imaging.files import read_camera, read_depth
 
 __version__ = "0.1.0.dev0"
 __all__ = [
@@ -30,9 +31,12 @@ __all__ = [
     "Station",
     "StationError",
     "Step",
+    "isolate",
     "load_estimator",
     "load_strategy",
     "orient",
+    "read_camera",
+    "read_depth",
 ]
 _MODULES = {
     "controller": ("Algorithm1", "Fusing", "Limits", "OrientResult", "Step", "load_strategy", "orient"),
@@ -40,7 +44,8 @@ _MODULES = {
     "errors": ("ReorientError", "StationError"),
     "estimators": ("load_estimator",),
     "estimators.base": ("Estimator", "RotationEstimate"),
-    "imaging": ("Camera", "DepthImage"),
+    "imaging": ("Camera", "DepthImage", "isolate"),
+    "imaging.files": ("read_camera", "read_depth"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 

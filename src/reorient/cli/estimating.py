@@ -15,7 +15,7 @@ from reorient.plugins import in_one_line
 
 if TYPE_CHECKING:
     from reorient.estimators.base import RotationEstimate
-    from reorient.imaging import Camera, DepthImage
+    from reorient.imaging import DepthImage
     from reorient.registration import Evidence
 
 T = TypeVar("T")
@@ -30,9 +30,10 @@ class Frames:
     """
 
     camera: Annotated[tuple[str, ...], Metavar("PATH")] = ()
-    """Intrinsics as JSON of reorient, Open3D or RealSense, not needed where the image file has its camera."""
+    """Camera file of any tool that docs/formats.md lists, not needed where the image file has its camera; PATH#NAME
+    chooses one of several cameras. Its lens distortion is undone."""
     depth_scale: Annotated[tuple[float, ...], Metavar("M")] = ()
-    """Metres per unit of integer depth, by default the value in the file, else 0.001."""
+    """Metres per unit of integer depth, by default the image's own, else the camera file's, else 0.001."""
     mask: Annotated[tuple[str, ...], Metavar("PATH")] = ()
     """Image or .npy array that is not zero on the object."""
     box: Annotated[tuple[int, ...], Metavar("PX")] = ()
@@ -54,18 +55,14 @@ class Frames:
         near_m, far_m = _metres(self.near, goal, "--near"), _metres(self.far, goal, "--far")
         if near_m is not None and far_m is not None and near_m >= far_m:
             raise ReorientError(f"--near {near_m:g} --far {far_m:g}: expected --near below --far")
-        image = read_depth(path, self._camera(camera_file), _each(self.depth_scale, goal, "--depth-scale"))
-        mask_array = None if mask in (None, "-") else read_mask(mask)
+        camera = None if camera_file == "-" else camera_file
+        image = read_depth(path, camera, _each(self.depth_scale, goal, "--depth-scale"))
+        mask_array = None if mask in (None, "-") else read_mask(mask, camera)
         box_px = (box[0], box[1], box[2], box[3]) if box else None
         try:
             return isolate(image, mask_array, box_px, near_m, far_m)
         except ReorientError as error:
             raise ReorientError(f"{path}: {error}") from error
-
-    def _camera(self, file: str | None) -> "Camera | None":
-        from reorient.imaging.files import read_camera
-
-        return None if file in (None, "-") else read_camera(file)
 
 
 @dataclass(frozen=True)
@@ -108,7 +105,7 @@ class Estimate:
     """
 
     current: Positional[Path]
-    """Depth image of the object as it is now: .png, .tif, .npy or .npz."""
+    """Depth image of the object as it is now: .png, .tif, .npy, .npz, .exr, .pgm, .pfm, .pcd or .ply."""
     goal: Positional[Path]
     """Depth image of the object as it should be."""
     frames: Frames = field(default_factory=Frames)

@@ -77,7 +77,7 @@ class RotationSearch:
     def _without_static_part(self, verified: "Verified") -> "Verified":
         """The hypotheses without the part of the image that did not move, if there is one."""
         best = verified.found.hypotheses[np.array([verified.best])]
-        static = find_static_part(verified.problem, best.R[0], best.t_m[0])
+        static = find_static_part(verified.problem, best.R[0], best.t_m[0], verified.confidence >= SURE)
         if static is None:
             return verified
         message = f"part of the image did not move ({static.share:.0%} of the returns): "
