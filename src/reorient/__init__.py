@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from reorient.estimators import load_estimator
     from reorient.estimators.base import Estimator, RotationEstimate
     from reorient.imaging import Camera, DepthImage, Isolation, isolate
+    from reorient.imaging.files import read_camera, read_depth
     from reorient.perception.robot_calibration import RobotCalibration
     from reorient.stations.calibrating import calibrate
     from reorient.stations.guarded import RobotLimits
@@ -43,6 +44,8 @@ __all__ = [
     "load_estimator",
     "load_strategy",
     "orient",
+    "read_camera",
+    "read_depth",
 ]
 _MODULES = {
     "controller": ("Algorithm1", "Fusing", "Limits", "OrientResult", "Step", "load_strategy", "orient"),
@@ -51,6 +54,7 @@ _MODULES = {
     "estimators": ("load_estimator",),
     "estimators.base": ("Estimator", "RotationEstimate"),
     "imaging": ("Camera", "DepthImage", "Isolation", "isolate"),
+    "imaging.files": ("read_camera", "read_depth"),
     "perception.robot_calibration": ("RobotCalibration",),
     "stations.calibrating": ("calibrate",),
     "stations.guarded": ("RobotLimits",),

@@ -1,6 +1,7 @@
 """Every verb end to end on tiny data; every bad input one line and exit code 2."""
 
 import json
+import pickle
 import re
 from pathlib import Path
 
@@ -157,9 +158,11 @@ def test_bad_images(pair, capsys, tmp_path, unchecked):
     assert "0 everywhere" in text("nan.npy", np.full_like(depth_m, np.nan))
     assert "expected no negative value" in text("negative.npy", depth_m - 0.3)
     assert "0 everywhere" in text("zero.npy", 0 * depth_m)
-    assert "dtype uint16: expected floating-point metres" in text("dtype.npy", (depth_m * 1000).astype(np.uint16))
-    assert "expected (height, width) = (128, 128)" in text("size.npy", depth_m[:100])
-    assert "one channel" in text("channels.npy", np.stack([depth_m] * 3, axis=-1))
+    assert "dtype uint8: expected 16 bits or more" in text("dtype.npy", (depth_m * 100).astype(np.uint8))
+    assert "has 128 x 100, another aspect ratio" in text("size.npy", depth_m[:100])
+    assert "a picture of three colours is no depth" in text("channels.npy", np.stack([depth_m] * 3, axis=-1))
+    (tmp_path / "pickle.npy").write_bytes(pickle.dumps(depth_m))
+    assert "is a pickle" in refused(capsys, "estimate", tmp_path / "pickle.npy", good)
     np.save(tmp_path / "fine.npy", depth_m)
     assert "missing intrinsics" in refused(capsys, "estimate", tmp_path / "fine.npy", good)
     (tmp_path / "half.npz").write_bytes(good.read_bytes()[:500])
@@ -174,6 +177,14 @@ def test_bad_images(pair, capsys, tmp_path, unchecked):
     assert "did you mean 'gicp'" in refused(capsys, "estimate", good, good, "--estimator", "gipc")
     write_depth(tmp_path / "dot.npz", DepthImage(np.pad([[0.6]], ((0, 127), (0, 127))), camera))
     assert "has 1 returns: expected at least" in refused(capsys, "estimate", tmp_path / "dot.npz", good)
+
+
+def test_a_camera_file_of_another_resolution_is_scaled_and_noted(pair, caplog, tmp_path):
+    folder, _ = pair
+    K = {"K": [[662.0, 0, 127.5], [0, 662.0, 127.5], [0, 0, 1]], "width": 256, "height": 256}
+    (tmp_path / "K.json").write_text(json.dumps(K))
+    main(["estimate", str(folder / "now.npz"), str(folder / "goal.npz"), "--camera", str(tmp_path / "K.json")])
+    assert "is for 256 x 256 px, scaled by 0.5 to the 128 x 128 px" in caplog.text
 
 
 def ended(capsys, *arguments) -> tuple[int, str, str]:

@@ -60,6 +60,20 @@ def test_the_translation_brings_the_object_to_the_goal(name):
         assert so3.angle(R) == pytest.approx(np.radians(10))
 
 
+@pytest.mark.parametrize("name", ["paper", "swift"])
+def test_stray_returns_and_dropouts_change_little(name, rng):
+    """Both images are zoomed to the outline of the object, and gaps are filled."""
+    estimator = load_estimator(name)
+    moved = []
+    for current, goal, _, pivot_m in list(pairs(CAMERAS["f = 300"], 20))[:6]:
+        before = estimator.estimate(current, goal, pivot_m).R_goal_current
+        lossy = [np.where(rng.random(image.depth_m.shape) < 0.02, 0, image.depth_m) for image in (current, goal)]
+        lossy[0][2, 3], lossy[1][120, 5] = 3.0, 0.15
+        images = (DepthImage(depth_m, current.camera) for depth_m in lossy)
+        moved.append(np.degrees(so3.angle_difference(estimator.estimate(*images, pivot_m).R_goal_current, before)))
+    assert np.median(moved) < 1
+
+
 def test_rounds_make_it_better():
     """Each round sees the current image turned by the answer so far."""
     once, thrice = learned.Learned("swift", rounds=1), learned.Learned("swift", rounds=3)
@@ -72,16 +86,17 @@ def test_rounds_make_it_better():
     assert np.median(errors[:, 1]) < 0.8 * np.median(errors[:, 0])
 
 
-def test_at_the_goal_little_is_left_as_the_exchanged_pair_is_asked_too(monkeypatch):
+def test_near_the_goal_the_exchanged_pair_is_asked_too(monkeypatch):
     swift = load_estimator("swift")
 
-    def median_left():
-        same = [(goal, pivot_m) for _, goal, _, pivot_m in pairs(CAMERAS["f = 300"], 0)]
-        return np.median([swift.estimate(goal, goal, pivot_m).angle_rad for goal, pivot_m in same])
+    def mean_error(angle_deg):
+        near = pairs(CAMERAS["f = 300"], angle_deg)
+        return np.mean([so3.angle_difference(swift.estimate(*images, p).R_goal_current, R) for *images, R, p in near])
 
-    both_ways = median_left()
+    assert mean_error(0) < np.radians(0.3)
+    both_ways = mean_error(2)
     monkeypatch.setattr(learned, "NEAR_RAD", 0.0)
-    assert both_ways < 0.6 * median_left()
+    assert both_ways < 0.93 * mean_error(2)
 
 
 def test_the_same_images_give_the_same_answer():

@@ -76,6 +76,22 @@ def test_a_pixel_without_return_is_unknown(no_return, camera):
     assert not DepthImage(spoilt(0.0), camera).unknown.any()  # not the object
 
 
+@pytest.mark.parametrize("value", [1e-40, 1e-5, 1e38, 1e10, 2e3])
+def test_a_pixel_beyond_any_range_is_unknown(value, camera):
+    image = DepthImage(spoilt(value), camera)
+    assert np.argwhere(image.unknown).tolist() == [[3, 4]]
+    assert np.isfinite(image.points()).all()
+    with pytest.raises(ReorientError, match="median depth is .*expected metres"):
+        DepthImage(np.full(FLAT.shape, value), camera)  # all of them: another unit
+
+
+def test_a_masked_pixel_is_unknown(camera):
+    masked = np.ma.masked_array(FLAT, mask=np.zeros(FLAT.shape, bool))
+    masked.mask[3, 4] = True
+    for image in (DepthImage(masked, camera), DepthImage.from_uint16((masked * 1000).astype(np.uint16), camera)):
+        assert np.argwhere(image.unknown).tolist() == [[3, 4]]
+
+
 def test_an_unknown_pixel_has_no_depth(camera):
     unknown = np.zeros(FLAT.shape, bool)
     unknown[:, 40:50] = True
@@ -115,8 +131,8 @@ def test_depth_of_any_float_is_kept_as_float32_of_its_own(dtype, camera):
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ((0, 72, 110.0, 104.0, 45.0, 33.0), "camera of 0 x 72 px: expected whole numbers above 0"),
-        ((96, -72, 110.0, 104.0, 45.0, 33.0), "camera of 96 x -72 px: expected whole numbers above 0"),
+        ((0, 72, 110.0, 104.0, 45.0, 33.0), "camera of 0 x 72 px: expected whole numbers, 1 to 65535"),
+        ((96, -72, 110.0, 104.0, 45.0, 33.0), "camera of 96 x -72 px: expected whole numbers, 1 to 65535"),
         ((96, 72, 0.0, 104.0, 45.0, 33.0), "fx=0.0, .* expected finite pixels, fx, fy > 0"),
         ((96, 72, 110.0, -104.0, 45.0, 33.0), "fy=-104.0, .* expected finite pixels, fx, fy > 0"),
         ((96, 72, 110.0, 104.0, np.nan, 33.0), "cx=nan, .* expected finite pixels"),
@@ -127,6 +143,11 @@ def test_depth_of_any_float_is_kept_as_float32_of_its_own(dtype, camera):
         ((None, 72, 110.0, 104.0, 45.0, 33.0), "camera of None x 72 px: expected whole numbers"),
         ((np.nan, 72, 110.0, 104.0, 45.0, 33.0), "camera of nan x 72 px: expected whole numbers"),
         ((np.inf, 72, 110.0, 104.0, 45.0, 33.0), "camera of inf x 72 px: expected whole numbers"),
+        ((70000, 72, 110.0, 104.0, 45.0, 33.0), "camera of 70000 x 72 px: expected whole numbers"),
+        ((10**5000, 72, 110.0, 104.0, 45.0, 33.0), "camera of a number of thousands of digits x 72 px: expected whole"),
+        ((96, 72, 1e-308, 104.0, 45.0, 33.0), "fx=1e-308, .* expected finite pixels"),
+        ((96, 72, 110.0, 1e300, 45.0, 33.0), "fy=1e.300, .* expected finite pixels"),
+        ((96, 72, 110.0, 104.0, 45.0, -1e300), "cy=-1e.300: expected finite pixels"),
         ((96, 72.5, 110.0, 104.0, 45.0, 33.0), "camera of 96 x 72.5 px: expected whole numbers"),
     ],
 )
@@ -246,3 +267,117 @@ def test_resizing_keeps_the_field_of_view(camera):
 def test_a_window_without_size_is_refused(image):
     with pytest.raises(ReorientError, match="camera of -5 x 50 px"):
         image.cropped(10, 10, -5, 50)
+
+
+def test_raw_units_become_metres_and_no_return_unknown(camera):
+    raw = np.full(FLAT.shape, 2400, np.uint16)
+    raw[0, 0], raw[0, 1] = 0, 65535
+    image = DepthImage.from_uint16(raw, camera, scale_m=0.00025, stamp_s=3.0)
+    assert np.argwhere(image.unknown).tolist() == [[0, 0], [0, 1]]
+    assert np.allclose(image.depth_m[image.valid], 0.6)
+    assert image.stamp_s == 3.0
+    assert np.array_equal(DepthImage.from_uint16(raw[:, :, None], camera, 0.00025).depth_m, image.depth_m)
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    ("raw", "scale_m", "message"),
+    [(FLAT, 0.001, "raw depth of dtype float32: expected integers"), (FLAT.astype(int), 0, "depth scale 0: expected")],
+)
+def test_raw_units_are_integers_with_a_scale(raw, scale_m, message, camera):
+    with pytest.raises(ReorientError, match=message):
+        DepthImage.from_uint16(raw, camera, scale_m)
+
+
+def test_points_return_the_depth_they_came_from(camera, rng):
+    depth_m = np.where(rng.random(FLAT.shape) < 0.2, np.nan, rng.uniform(0.4, 0.8, FLAT.shape))
+    points = camera.rays() * depth_m[..., None]
+    points[0, 0] = 0
+    expected = DepthImage(np.where(points[..., 2] > 0, depth_m, np.nan), camera)
+    for given in (points, points.reshape(-1, 3)[::-1], points.astype(np.float32)):
+        image = DepthImage.from_points(given, camera)
+        assert np.allclose(image.depth_m, expected.depth_m, atol=1e-6)
+        assert np.array_equal(image.unknown, expected.unknown)
+
+
+def test_points_of_other_axes_are_refused(camera):
+    points = camera.rays() * 0.6
+    for wrong, message in (
+        (points * [1, -1, 1], "px .median. from their own pixels: expected camera axes"),
+        (points * [1, 1, -1], "none of 6912 points projects"),
+        (np.random.default_rng(0).random((72, 96, 3)), "three colours is no depth"),
+    ):
+        with pytest.raises(ReorientError, match=message):
+            DepthImage.from_points(wrong, camera)
+
+
+class Intrinsic:
+    """As open3d.camera.PinholeCameraIntrinsic."""
+
+    width, height, intrinsic_matrix = 96, 72, K
+
+
+class Tensor:
+    """As open3d.t.geometry.Image of one channel."""
+
+    def __init__(self, pixels):
+        self.pixels = pixels
+
+    def as_tensor(self):
+        return self
+
+    cpu = as_tensor
+
+    def numpy(self):
+        return self.pixels[:, :, None]
+
+
+def test_images_of_open3d():
+    raw = np.full(FLAT.shape, 600, np.uint16)
+    raw[5, 6] = 0
+    for given in (raw, Tensor(raw), (raw / 1000).astype(np.float32)):
+        image = DepthImage.from_open3d(given, Intrinsic)
+        assert image.camera == Camera(96, 72, 110.0, 104.0, 45.5, 33.5)
+        assert np.argwhere(image.unknown).tolist() == [[5, 6]]
+        assert np.allclose(image.depth_m[image.valid], 0.6)
+
+
+class Frame:
+    """As pyrealsense2.depth_frame, its own profile and intrinsics."""
+
+    width, height, fx, fy, ppx, ppy, model = 96, 72, 110.0, 104.0, 45.0, 33.0, "distortion.inverse_brown_conrady"
+    coeffs = (0.0,) * 5
+
+    @property
+    def profile(self):
+        return self
+
+    def as_video_stream_profile(self):
+        return self
+
+    get_intrinsics = as_video_stream_profile
+
+    def get_data(self):
+        raw = np.full((72, 96), 2400, np.uint16)
+        raw[5, 6] = 0
+        return raw
+
+    def get_units(self):
+        return 0.00025
+
+    def get_timestamp(self):
+        return 1500.0
+
+
+def test_frames_of_realsense():
+    image = DepthImage.from_realsense(Frame())
+    assert image.camera == Camera(96, 72, 110.0, 104.0, 45.5, 33.5)
+    assert np.argwhere(image.unknown).tolist() == [[5, 6]]
+    assert np.allclose(image.depth_m[image.valid], 0.6)
+    assert image.stamp_s == 1.5
+    bent = Frame()
+    bent.coeffs = (0.3, 0.0, 0.0, 0.0, 0.0)
+    assert np.argwhere(DepthImage.from_realsense(bent).unknown).tolist() != [[5, 6]]
+    bent.model = "distortion.ftheta"
+    with pytest.raises(ReorientError, match="lens distortion .* of model 'distortion.ftheta': expected one of"):
+        DepthImage.from_realsense(bent)

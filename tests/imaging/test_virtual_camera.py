@@ -11,8 +11,10 @@ from reorient.errors import ReorientError
 from reorient.imaging import Camera, DepthImage
 from reorient.imaging.virtual_camera import (
     FILL,
+    GAP_PX,
     SIZE_PX,
     aim,
+    filled,
     join,
     network_input,
     outline,
@@ -201,6 +203,32 @@ def test_a_sphere_slides_onto_itself_moved():
     virtual, views_m = view_of(sphere_image(camera, center_m), sphere_image(camera, center_m + shift_m))
     found_m = slide(views_m[0][None], views_m[1][None], virtual.tangent)[0]
     assert virtual.R_virtual_camera[0].T @ found_m == pytest.approx(shift_m, abs=0.0015)
+
+
+@pytest.mark.parametrize("lost", [np.s_[:, :50], np.s_[80:], np.s_[60:, 60:]])
+def test_a_view_of_which_a_part_is_lost_slides_as_the_whole(lost):
+    """The box around the rest has another middle, by up to a quarter of the sphere."""
+    camera, shift_m = CAMERAS["f = 535"], np.array([0.006, -0.004, 0.01])
+    center_m = SPHERES_M["ahead"]
+    virtual, views_m = view_of(sphere_image(camera, center_m), sphere_image(camera, center_m + shift_m))
+    views_m[1][lost] = 0
+    found_m = slide(views_m[0][None], views_m[1][None], virtual.tangent)[0]
+    assert virtual.R_virtual_camera[0].T @ found_m == pytest.approx(shift_m, abs=0.004)
+
+
+def test_gaps_are_filled_from_their_sides_and_nothing_else_changes(rng):
+    view = np.zeros((1, 2, 64, 64), np.float32)
+    view[:, :, 16:48, 16:48] = 0.6 + 0.001 * np.arange(32)
+    whole = view.copy()
+    view[0, 0, 16:48, 28 : 28 + GAP_PX - 1] = 0  # a gap across the object
+    view[0, 0, 20:44][rng.random((24, 64)) < 0.02] = 0
+    view[0, 1, 20:44, 16 : 16 + GAP_PX + 8] = 0  # a wide piece of its side
+    out = filled(view)
+    assert np.array_equal(out[view > 0], view[view > 0])
+    assert np.all(out[0, 0, 20:44, 18:46] > 0)
+    assert np.abs(out - whole)[0, 0, 20:44, 18:46].max() < 0.02
+    assert not out[0, 1, 31, 16:22].any()
+    assert not out[whole == 0].any()
 
 
 def test_nothing_slides_onto_nothing():

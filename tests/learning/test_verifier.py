@@ -53,6 +53,7 @@ def test_shards_of_another_config_are_not_mixed(shards):
         ({"world": "foo"}, "unknown world 'foo'"),
         *(({name: 0}, f"{name}=0: expected a number from 1") for name in ("pairs", "per_shard")),
         ({"seed": -1}, "seed=-1: expected a number from 0"),
+        ({"in_hand": 1.5}, "in_hand=1.5: expected a number from 0 to 1"),
         *(({"most_noise_mm": value}, "most_noise_mm=.*: expected a number from 0") for value in (-1.0, np.nan, np.inf)),
         *(({"most_wrong_focal": value}, "expected a number from 0 and below 1") for value in (-0.1, 1.0, np.nan)),
     ],

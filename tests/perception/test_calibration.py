@@ -53,12 +53,12 @@ def breakages():
             json.dumps({"depth": {"camera": camera, "T_world_camera": [[1, 1, 0, 0], *identity[1:]]}}),
             "rigid",
         ),
-        "no camera": (json.dumps({"depth": {"camera": 3, "T_world_camera": identity}}), "broken .*a JSON object"),
+        "no camera": (json.dumps({"depth": {"camera": 3, "T_world_camera": identity}}), "broken .*missing intrinsics"),
         "no principal point": (
             json.dumps(
                 {"depth": {"camera": {k: v for k, v in camera.items() if k != "cy"}, "T_world_camera": identity}}
             ),
-            "missing intrinsics in 'depth' .'cy'",
+            "camera in 'depth': missing intrinsics, no cy",
         ),
         "no focal length": (
             json.dumps({"depth": {"camera": camera | {"fx": 0}, "T_world_camera": identity}}),

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -115,6 +116,20 @@ def test_the_drawn_rotations_have_the_papers_four_properties(sharded):
     assert (labels[:, :1] > np.abs(labels[:, 1:])).all()
     angles = np.degrees(so3.quat_angle(labels))
     assert np.histogram(angles, 3, (0, 30))[0].min() > 150  # of 600, uniform
+
+
+def test_a_share_of_the_pairs_is_in_hand(small_set, tmp_path):
+    """They show less of their objects, at other distances."""
+    config = replace(SMALL, in_hand=0.5)
+    run(config, tmp_path / "half")
+    half, none = (PairReader(path) for path in (tmp_path / "half", small_set))
+    assert half.config.in_hand == 0.5
+    images, whole = (reader.read(np.arange(48)).images for reader in (half, none))
+    assert images.max() * half.quantum_m < 1  # no stray returns, which reach metres
+    distance_m = np.asarray(half._group["placement"])[:, 3]
+    in_hand = (distance_m < 0.57) | (distance_m > 0.62)  # the distances of the world paper
+    assert 8 < in_hand.sum() < 40
+    assert np.mean(images[in_hand] > 0) < 0.7 * np.mean(whole > 0)
 
 
 def test_an_order_has_every_pair_of_its_objects_once(small_set, rng):

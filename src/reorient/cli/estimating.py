@@ -32,7 +32,7 @@ class Estimate:
     """
 
     current: Positional[Path]
-    """Depth image of the object as it is now: .png, .tif, .npy or .npz."""
+    """Depth image of the object as it is now: .png, .tif, .npy, .npz, .exr, .pgm, .pfm, .pcd or .ply."""
     goal: Positional[Path]
     """Depth image of the object as it should be."""
     frames: Frames = field(default_factory=Frames)
@@ -72,7 +72,7 @@ class Estimate:
             with replacing(self.explain) as temporary:
                 picture(current, goal, estimate).save(temporary)
         summaries = {each.name: Summary.of(each.isolated) for each in inputs}
-        for warning in pair_warnings(*summaries.values()):
+        for warning in (*pair_warnings(*summaries.values()), *estimate.warnings):
             print(f"reorient: warning: {warning}", file=sys.stderr)
         if self.json:
             print(json.dumps(as_data(estimate) | {name: asdict(each) for name, each in summaries.items()}, indent=2))
@@ -95,6 +95,8 @@ def as_data(estimate: "RotationEstimate") -> dict[str, Any]:
         "confidence": estimate.confidence,
         "alternatives": [{"R_goal_current": R.tolist(), "probability": p} for R, p in estimate.alternatives],
         "covariance_rad2": None if estimate.covariance_rad2 is None else estimate.covariance_rad2.tolist(),
+        "free_axis": None if estimate.free_axis is None else estimate.free_axis.tolist(),
+        "warnings": list(estimate.warnings),
         "evidence": {name: None if x != x else x for name, x in shares.items()},  # JSON has no NaN
     }
 
@@ -113,6 +115,10 @@ def in_words(estimate: "RotationEstimate") -> str:
         f"silhouette {format_share(evidence.silhouette_violation)}",
         f"occluded      {format_share(evidence.occluded)}",
     ]
+    if estimate.free_axis is not None:
+        lines.append(
+            f"free axis     {_vector(estimate.free_axis, 4)} (every rotation about it fits: the smallest is shown)"
+        )
     for R, probability in estimate.alternatives:
         away = _rotation(R @ estimate.R_goal_current.T)
         lines.append(f"alternative   {format_probability(probability)}: the estimate rotated by {away}")

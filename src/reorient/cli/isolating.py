@@ -10,7 +10,7 @@ from reorient.cli.arguments import Metavar
 from reorient.errors import ReorientError
 
 if TYPE_CHECKING:
-    from reorient.imaging import Camera, DepthImage, Isolation
+    from reorient.imaging import DepthImage, Isolation
 
 T = TypeVar("T")
 
@@ -91,9 +91,10 @@ class Frames(IsolationOptions):
     """
 
     camera: Annotated[tuple[str, ...], Metavar("PATH")] = ()
-    """Intrinsics as JSON of reorient, Open3D or RealSense, not needed where the image file has its camera."""
+    """Camera file of any tool that docs/formats.md lists, not needed where the image file has its camera; PATH#NAME
+    chooses one of several cameras. Its lens distortion is undone."""
     depth_scale: Annotated[tuple[float, ...], Metavar("M")] = ()
-    """Metres per unit of integer depth, by default the value in the file, else 0.001."""
+    """Metres per unit of integer depth, by default the image's own, else the camera file's, else 0.001."""
     mask: Annotated[tuple[str, ...], Metavar("PATH")] = ()
     """Image or .npy array that is not zero on the object, or a cut-out whose transparent pixels are not the object."""
 
@@ -105,12 +106,13 @@ class Frames(IsolationOptions):
         from reorient.imaging.files import read_depth, read_mask
 
         name, camera_file = "goal" if goal else "current", _each(self.camera, goal, "--camera")
+        camera = None if camera_file == "-" else camera_file
         isolation, scale_m = self.isolation(goal), _each(self.depth_scale, goal, "--depth-scale")
-        raw = read_depth(path, self._camera(camera_file), scale_m)
+        raw = read_depth(path, camera, scale_m)
         if isinstance(isolation.background, str):
-            isolation = replace(isolation, background=read_depth(isolation.background, raw.camera, scale_m))
+            isolation = replace(isolation, background=read_depth(isolation.background, camera or raw.camera, scale_m))
         mask = _each(self.mask, goal, "--mask")
-        mask_array = None if mask in (None, "-") else read_mask(mask)
+        mask_array = None if mask in (None, "-") else read_mask(mask, camera)
         try:
             return Input(name, raw, isolation(raw, mask_array))
         except ReorientError as error:
@@ -124,11 +126,6 @@ class Frames(IsolationOptions):
         if show is not None:
             _show(inputs, show)
         return inputs
-
-    def _camera(self, file: str | None) -> "Camera | None":
-        from reorient.imaging.files import read_camera
-
-        return None if file in (None, "-") else read_camera(file)
 
 
 @dataclass(frozen=True)

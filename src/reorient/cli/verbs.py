@@ -47,7 +47,10 @@ GROUPS = {
         "replay": Verb("robot:Replay", "Run a recorded loop again, without its station."),
     },
     "measure": {
-        "evaluate": Verb("evaluating:Evaluate", "Measure the errors of estimators on simulated pairs of images."),
+        "evaluate": Verb(
+            "evaluating:Evaluate",
+            "Measure the errors of estimators on simulated pairs of images, or on views of a BOP dataset.",
+        ),
         "report": Verb("evaluating:Report", "Write an HTML page of an evaluation."),
         "loops": Verb("loops:Loops", "Measure closed loops at simulated stations."),
         "cell": Verb("cell:Cell", "Run the experiment with physical objects in a simulated robot cell."),

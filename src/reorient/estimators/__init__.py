@@ -21,7 +21,7 @@ def load_estimator(name: str = "default") -> Estimator:
     """
     if not isinstance(name, str):
         raise ReorientError(f"estimator {name!r}: expected a name, a string")
-    if name.endswith(".onnx"):
+    if name.lower().endswith(".onnx"):
         from reorient.estimators.learned import Learned
 
         return Learned(Path(name))

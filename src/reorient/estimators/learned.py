@@ -11,10 +11,11 @@ from jaxtyping import Float, Float32
 from reorient import so3
 from reorient.errors import ReorientError
 from reorient.estimators.base import History, RotationEstimate, check_pair, with_evidence
-from reorient.imaging import DepthImage
+from reorient.imaging import DepthImage, without_strays
 from reorient.imaging.virtual_camera import (
     VirtualCamera,
     aim,
+    filled,
     join,
     network_input,
     outline,
@@ -61,6 +62,7 @@ class Learned:
     ``weights``: a name in the package, or an exported file. ``rounds``: from the second on, the input is the current
     image rotated by the answer so far, as in the training of ``swift``; None: as stated in the file. Where the answer
     so far is small, these rounds also estimate the exchanged pair: the mean of both answers has no bias at the goal.
+    Of all rounds the answer with the best evidence is given.
     """
 
     def __init__(self, weights: Literal["paper", "swift"] | Path, rounds: int | None = None) -> None:
@@ -80,19 +82,24 @@ class Learned:
         virtual, views_m = self._views(current, goal)
         from_m, to_m = (self._turning_point(virtual, view_m, pivot_m) for view_m in views_m)
         current_m, goal_m = views_m
+        shown = DepthView(current), DepthView(goal)
         R_virtual = so3.matrix_from_quat(self._answer_wxyz(current_m, goal_m, virtual))
-        for _ in range(self._rounds - 1):
-            seen_m = rotated(current_m, virtual.tangent, R_virtual, from_m, to_m)
+        answers = []
+        for left in reversed(range(self._rounds)):
+            seen_m, at_m = rotated(current_m, virtual.tangent, R_virtual, from_m, to_m), to_m
             if pivot_m is None:  # the rotated view improves a guess
-                to_m = to_m + slide(seen_m, goal_m, virtual.tangent)
-                seen_m = rotated(current_m, virtual.tangent, R_virtual, from_m, to_m)
+                at_m = to_m + slide(seen_m, goal_m, virtual.tangent)
+            R, t_m = virtual.to_camera(R_virtual)[0], at_m[0] - R_virtual[0] @ from_m[0]
+            answers.append(with_evidence(*shown, R, virtual.R_virtual_camera[0].T @ t_m))
+            if not left:
+                break
+            if pivot_m is None:
+                seen_m = rotated(current_m, virtual.tangent, R_virtual, from_m, at_m)
             left_wxyz = self._answer_wxyz(seen_m, goal_m, virtual)
             if np.all(so3.angle(R_virtual) < NEAR_RAD):
                 left_wxyz = so3.normalize(left_wxyz + so3.conjugate(self._answer_wxyz(goal_m, seen_m, virtual)))
             R_virtual = so3.matrix_from_quat(left_wxyz) @ R_virtual
-        R = virtual.to_camera(R_virtual)[0]
-        t = virtual.R_virtual_camera[0].T @ (to_m[0] - R_virtual[0] @ from_m[0])
-        return with_evidence(DepthView(current), DepthView(goal), R, t)
+        return max(answers, key=lambda answer: answer.evidence.score)
 
     def raw_quat_wxyz(self, current: DepthImage, goal: DepthImage) -> Float[np.ndarray, "4"]:
         """Raw output of the network in its first round: virtual camera axes, either sign."""
@@ -101,8 +108,9 @@ class Learned:
 
     @staticmethod
     def _views(current: DepthImage, goal: DepthImage) -> tuple[VirtualCamera, list[Float32[np.ndarray, "n size size"]]]:
-        virtual = aim(join(*(outline(image.valid[None], image.camera) for image in (current, goal))))
-        return virtual, [virtual.view(image.depth_m[None, None], image.camera)[:, 0] for image in (current, goal)]
+        images = [without_strays(image) for image in (current, goal)]
+        virtual = aim(join(*(outline(image.valid[None], image.camera) for image in images)))
+        return virtual, [filled(virtual.view(image.depth_m[None, None], image.camera))[:, 0] for image in images]
 
     def _predict(
         self,

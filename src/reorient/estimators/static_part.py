@@ -121,7 +121,7 @@ def _opened(mask: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     return np.asarray(ndimage.binary_opening(mask, np.ones((3, 3))))
 
 
-def _without(problem: Problem, static: list[Bool[np.ndarray, "h w"]]) -> Problem | None:
+def _without(problem: Problem, static: list[Bool[np.ndarray, "..."]]) -> Problem | None:
     """The current observation and the goal with the static pixels unknown."""
     views = []
     for view, mask in zip((problem.current, problem.goal), static, strict=True):

@@ -19,10 +19,12 @@ from reorient.errors import ReorientError, check_angles, check_range
 from reorient.estimators import load_estimator
 from reorient.estimators.base import Estimator, as_estimate
 from reorient.experiments.cached import cached_estimator, cached_object
+from reorient.imaging import DepthImage
 from reorient.plugins import USER_ERRORS, in_words
 from reorient.runs.pool import Pool
 from reorient.runs.provenance import read_record
 from reorient.runs.run import CONFIG, Progress, Row, RowStore, Tables, resumable
+from reorient.se3 import Transform
 from reorient.world.objects import ObjectSet, ObjectSource
 from reorient.world.pairs import Pair, sample_pair, view_overlap
 from reorient.world.rendering import Renderer, load_world
@@ -195,15 +197,25 @@ def _estimates(
 def estimate_cells(
     estimator: Estimator, pair: Pair, group: SymmetryGroup, pivot_m: Float[np.ndarray, "3"] | None
 ) -> dict[str, Any]:
-    """Cells of one row. An estimator that raises an error counts as "no rotation"; ``message`` is the error."""
+    """Cells of one row."""
+    T, cells = measured(estimator, pair.current, pair.goal, pivot_m)
+    return cells | answer_cells(T[:3, :3], pair, group)
+
+
+def measured(
+    estimator: Estimator, current: DepthImage, goal: DepthImage, pivot_m: Float[np.ndarray, "3"] | None = None
+) -> tuple[Transform, dict[str, str]]:
+    """T_goal_current of an estimator, and the cells of a row that need no truth.
+
+    One that raises an error counts as "no rotation"; ``message`` is the error.
+    """
     begin = time.process_time()
     try:
-        answer = estimator.estimate(pair.current, pair.goal, pivot_m)
-        estimate = as_estimate(answer, pair.current, pair.goal)
+        estimate = as_estimate(estimator.estimate(current, goal, pivot_m), current, goal)
     except USER_ERRORS as error:
-        R, message, figures = np.eye(3), in_words(error), {}
+        T, message, figures = np.eye(4), in_words(error), {}
     else:
-        R, message = estimate.R_goal_current, ""
+        T, message = estimate.T_goal_current, ""
         evidence = estimate.evidence
         names = ("score", "inlier_ratio", "free_space_violation", "silhouette_violation", "occluded")
         figures = {name: f"{getattr(evidence, name):.4f}" for name in names} | {
@@ -212,8 +224,7 @@ def estimate_cells(
             "iterations": "" if evidence.iterations is None else str(evidence.iterations),
             "confidence": "" if estimate.confidence is None else f"{estimate.confidence:.4f}",
         }
-    seconds = time.process_time() - begin
-    return figures | answer_cells(R, pair, group) | {"seconds": f"{seconds:.5f}", "message": message}
+    return T, figures | {"seconds": f"{time.process_time() - begin:.5f}", "message": message}
 
 
 def answer_cells(R: Float[np.ndarray, "3 3"], pair: Pair, group: SymmetryGroup) -> dict[str, str]:

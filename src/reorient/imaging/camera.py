@@ -13,18 +13,33 @@ from jaxtyping import Float, Real
 
 from reorient.errors import ReorientError
 
+LARGEST_PX = 65535  # of a width or height: what image files can hold
+FOCAL_PX = (1e-2, 1e7)
+LARGEST_OFFSET_PX = 1e7  # of the principal point, which lies beyond the image only after a crop
+
 
 def is_number(x: object) -> bool:
     """Whether ``x`` is one finite real number."""
-    return isinstance(x, RealNumber) and isfinite(x)
+    try:
+        return isinstance(x, RealNumber) and isfinite(x)
+    except OverflowError:  # a whole number of more than 308 digits
+        return False
+
+
+def _short(x: object) -> str:
+    """A number as text of readable length, also where it has 5,000 digits."""
+    try:
+        return str(x)[:40]
+    except ValueError:
+        return "a number of thousands of digits"
 
 
 @dataclass(frozen=True)
 class Camera:
     """A pinhole camera without lens distortion. Numbers of any type are converted to int and float.
 
-    Raises ReorientError for a size that is no positive whole number, for a focal length that is not positive, and for
-    numbers that are not finite.
+    Raises ReorientError for a size that is no whole number from 1 to 65535, for a focal length outside 0.01 to 1e7 px,
+    and for a principal point that is not finite or more than 1e7 px away.
     """
 
     width: int
@@ -42,12 +57,15 @@ class Camera:
 
     def __post_init__(self) -> None:
         sizes, optics = (self.width, self.height), (self.fx, self.fy, self.cx, self.cy)
-        if not all(is_number(x) and x == int(x) and x >= 1 for x in sizes):
-            raise ReorientError(f"camera of {self.width} x {self.height} px: expected whole numbers above 0")
-        if not all(is_number(x) for x in optics) or min(self.fx, self.fy) <= 0:
+        if not all(is_number(x) and x == int(x) and 1 <= x <= LARGEST_PX for x in sizes):
             raise ReorientError(
-                f"camera of fx={self.fx}, fy={self.fy}, cx={self.cx}, cy={self.cy}: expected finite pixels, fx, fy > 0"
+                f"camera of {_short(self.width)} x {_short(self.height)} px: expected whole numbers, 1 to {LARGEST_PX}"
             )
+        if not (
+            all(is_number(x) and abs(x) <= LARGEST_OFFSET_PX for x in optics) and FOCAL_PX[0] <= min(self.fx, self.fy)
+        ):
+            words = ", ".join(f"{name}={_short(x)}" for name, x in zip(("fx", "fy", "cx", "cy"), optics, strict=True))
+            raise ReorientError(f"camera of {words}: expected finite pixels, fx, fy > 0 ({FOCAL_PX[0]:g} to 1e7)")
         for name, kind in self.__annotations__.items():
             object.__setattr__(self, name, kind(getattr(self, name)))
 

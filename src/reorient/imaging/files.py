@@ -1,10 +1,11 @@
-"""Depth images and intrinsics on disk.
+"""Depth images and masks on disk.
 
-Depth: 16-bit PNG and TIFF (scale in metres per unit from the file, 0.001 where the file has none), float TIFF, .npy and
-.npz in metres. Intrinsics: JSON in the format of reorient, Open3D or RealSense.
+Depth: 16-bit PNG, TIFF and PGM, integer .npy and .npz (metres per unit from the image, else from the camera file, else
+0.001); float TIFF, PFM, EXR, .npy and .npz in metres; points from .pcd, .ply and arrays (height, width, 3).
 """
 
 import json
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -13,74 +14,87 @@ from PIL import Image, PngImagePlugin, TiffImagePlugin
 
 from reorient.errors import ReorientError
 from reorient.imaging.camera import Camera
-from reorient.imaging.depth_image import DepthImage
+from reorient.imaging.depth_arrays import READERS, SCALE_M, TIFF_DESCRIPTION, read_arrays
+from reorient.imaging.depth_image import MILLIMETRES_ABOVE, NO_RETURN, DepthImage
+from reorient.imaging.documents import existing, refuse_pickle
+from reorient.imaging.intrinsic_fields import Intrinsics
+from reorient.imaging.intrinsics import camera_data, fitted, intrinsics_from, read_camera, read_intrinsics, write_camera
 from reorient.runs.files import replacing
 
-SCALE_M = 0.001  # what RealSense and Open3D write into 16-bit files
-SUFFIXES = (".png", ".npy", ".npz", ".tif", ".tiff")
-NO_RETURN = 65535  # in 16-bit files: unknown
-_TIFF_DESCRIPTION = 270
+__all__ = ["read_camera", "read_depth", "read_mask", "write_camera", "write_depth"]
+_NOTES = logging.getLogger(__name__)
+WRITTEN = (".png", ".npy", ".npz", ".tif", ".tiff")
+CameraChoice = Camera | Intrinsics | str | Path | None
+"""A camera, a camera file, or what ``read_intrinsics`` returned for one, to read many images with it."""
 
 
-def read_camera(path: str | Path) -> Camera:
-    """Intrinsics from JSON: Open3D (``intrinsic_matrix``), RealSense (``ppx``, ``ppy``), or reorient (``cx``, ``cy``).
+def read_depth(path: str | Path, camera: CameraChoice = None, scale_m: float | None = None) -> DepthImage:
+    """A depth image from .png, .tif(f), .npy, .npz, .exr, .pgm, .pfm, .pcd or .ply.
 
-    Open3D and RealSense count pixel centres at integers, so 0.5 is added to their principal point; files of reorient
-    count them at +0.5. Raises ReorientError for missing values, and for lens distortion: rectify the images first.
+    ``camera``: intrinsics or a file of them (docs/formats.md), overriding those in the image; needed where the image
+    has none. A file may lack the image size; where it is for another resolution of the same aspect ratio, it is scaled
+    and a note is logged. Its lens distortion is undone by nearest neighbour; pixels without source become unknown.
+    ``scale_m``: metres per unit of integer depth, and of floats that are no metres (median above 20); by default the
+    image's own, else the camera file's, else 0.001. In unsigned 16 bits 65535 is no return.
+    Raises ReorientError for a missing, truncated or unknown file, missing intrinsics or intrinsics of another aspect
+    ratio, a distortion of an unknown model, and whatever DepthImage refuses.
     """
-    text = _existing(path, "camera file").read_text(errors="replace")
-    try:
-        data = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise ReorientError(f"camera file {str(path)!r} is not JSON ({error}): expected intrinsics") from error
-    return camera_from(data, str(path))
-
-
-def write_camera(path: str | Path, camera: Camera) -> None:
-    """Write intrinsics as JSON in the format of reorient; pixel centres at +0.5."""
-    with replacing(path) as temporary:
-        temporary.write_text(json.dumps(_camera_data(camera), indent=2) + "\n")
-
-
-def read_depth(path: str | Path, camera: Camera | None = None, scale_m: float | None = None) -> DepthImage:
-    """A depth image from .png, .tif(f), .npy or .npz.
-
-    ``camera``: intrinsics, overriding those in the file; needed where the file has none. ``scale_m``: metres per unit
-    of integer depth, overriding the file's own; floats are metres in any case. Raises ReorientError for a missing,
-    truncated or unknown file, missing intrinsics, and whatever DepthImage refuses.
-    """
-    path = _existing(path, "depth image")
-    if path.suffix.lower() not in SUFFIXES:
-        raise ReorientError(f"depth image {str(path)!r}: expected one of {', '.join(SUFFIXES)}")
+    path = existing(path, "depth image")
+    if path.suffix.lower() not in READERS:
+        refuse_pickle(path)
+        raise ReorientError(f"depth image {str(path)!r}: expected one of {', '.join(READERS)}")
     if scale_m is not None:
         _check_scale(scale_m)
-    depth, stated = _read_arrays(path)
-    camera = camera or _stated_camera(stated, path)
-    if depth.ndim != 2:
-        raise ReorientError(f"depth image {str(path)!r} has shape {depth.shape}: expected one channel, (height, width)")
-    if np.issubdtype(depth.dtype, np.integer):
-        return _scaled(depth, camera, stated, scale_m)
+    array, stated = read_arrays(path)
+    intrinsics = _intrinsics(path, array, stated, camera)
+    scale_m = next((x for x in (scale_m, stated.get("scale_m"), intrinsics.scale_m) if x is not None), None)
+    depth, unknown = _metres(array, None if scale_m is None else _check_scale(scale_m))
+    pinhole, stamp_s = intrinsics.camera(), stated.get("stamp_s")
     try:
-        return DepthImage(depth, camera, stated.get("stamp_s"))
+        if array.shape[-1:] == (3,) and array.shape != (pinhole.height, pinhole.width):
+            return DepthImage.from_points(depth, pinhole, stamp_s)
+        if intrinsics.distortion:
+            _NOTES.warning(
+                "note: the lens distortion of %r is undone; boxes are in the pixels of that image", str(path)
+            )
+            depth = intrinsics.distortion.undone(depth, pinhole, np.nan)
+            unknown = intrinsics.distortion.undone(unknown, pinhole, True)
+        return DepthImage(depth, pinhole, stamp_s, unknown)
     except ReorientError as error:
-        if scale_m is None:
-            raise
-        raise ReorientError(f"{error}; a scale is for integers, but {str(path)!r} holds {depth.dtype}") from error
+        cure = "; give the scale (--depth-scale 0.001)" if "millimetres" in str(error) else ""
+        raise ReorientError(f"depth image {str(path)!r}: {error}{cure}") from error
 
 
-def _stated_camera(stated: dict[str, Any], path: Path) -> Camera:
-    if "camera" not in stated:
-        raise ReorientError(f"missing intrinsics for {str(path)!r}: expected a camera file (--camera camera.json)")
-    return camera_from(stated["camera"], str(path))
+def read_mask(path: str | Path, camera: CameraChoice = None) -> np.ndarray:
+    """A boolean (height, width) mask: true where the .npy array, or any colour channel of the picture, is not zero.
+
+    Of an RGBA picture with transparent pixels (a cut-out) the mask is where it is at least half opaque. ``camera``: that of
+    its depth image. Where it is a file with lens distortion, the mask is undistorted in the same way. Raises
+    ReorientError for a missing or broken file.
+    """
+    path = existing(path, "mask")
+    refuse_pickle(path)
+    try:
+        mask = _mask(path)
+    except Exception as error:
+        reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        raise ReorientError(f"cannot read mask {str(path)!r} ({reason}): expected a picture or a .npy array") from error
+    if not isinstance(camera, Intrinsics | str | Path) or mask.ndim != 2:
+        return mask
+    intrinsics = _intrinsics(path, mask, {}, camera)
+    return intrinsics.distortion.undone(mask, intrinsics.camera(), False) if intrinsics.distortion else mask
 
 
-def _scaled(units: np.ndarray, camera: Camera, stated: dict[str, Any], scale_m: float | None) -> DepthImage:
-    """A depth image from integer units at the given scale, else at that of the file."""
-    if scale_m is None:
-        scale_m = stated.get("scale_m")
-    depth = units if scale_m is None else units * _check_scale(scale_m)
-    unknown = (units == NO_RETURN) & (units.dtype == np.uint16)
-    return DepthImage(depth, camera, stated.get("stamp_s"), unknown)
+def _mask(path: Path) -> np.ndarray:
+    if path.suffix.lower() == ".npy":
+        return np.asarray(np.load(path, allow_pickle=False) != 0)
+    with Image.open(path) as picture:
+        if picture.mode != "P" and len(picture.getbands()) == 1:  # RGB would clip its numbers
+            return np.asarray(np.asarray(picture) != 0)
+        rgba = np.asarray(picture.convert("RGBA"))
+        opaque = rgba[..., 3] >= 128
+        is_cut_out = picture.mode == "RGBA" and opaque.any() and rgba[..., 3].min() == 0
+        return np.asarray(opaque if is_cut_out else rgba[..., :3].max(axis=-1) > 0)
 
 
 def write_depth(path: str | Path, image: DepthImage, scale_m: float = SCALE_M) -> None:
@@ -91,12 +105,12 @@ def write_depth(path: str | Path, image: DepthImage, scale_m: float = SCALE_M) -
     """
     path = Path(path)
     _check_scale(scale_m)
-    stated: dict[str, Any] = {"camera": _camera_data(image.camera)}
+    stated: dict[str, Any] = {"camera": camera_data(image.camera)}
     if image.stamp_s is not None:
         stated["stamp_s"] = image.stamp_s
     suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise ReorientError(f"cannot write depth as {path.name!r}: expected one of {', '.join(SUFFIXES)}")
+    if suffix not in WRITTEN:
+        raise ReorientError(f"cannot write depth as {path.name!r}: expected one of {', '.join(WRITTEN)}")
     depth_m = np.where(image.unknown, np.float32(np.nan), image.depth_m)
     with replacing(path) as temporary:
         if suffix == ".png":
@@ -111,7 +125,7 @@ def write_depth(path: str | Path, image: DepthImage, scale_m: float = SCALE_M) -
             Image.fromarray(units.astype(np.uint16)).save(temporary, pnginfo=text)
         elif suffix in (".tif", ".tiff"):
             tags = TiffImagePlugin.ImageFileDirectory_v2()
-            tags[_TIFF_DESCRIPTION] = json.dumps(stated)
+            tags[TIFF_DESCRIPTION] = json.dumps(stated)
             Image.fromarray(depth_m).save(temporary, tiffinfo=tags)
         else:
             with temporary.open("wb") as file:  # given a name, numpy appends ".npz" to ".NPZ"
@@ -121,133 +135,44 @@ def write_depth(path: str | Path, image: DepthImage, scale_m: float = SCALE_M) -
                     np.save(file, depth_m)
 
 
-def read_mask(path: str | Path) -> np.ndarray:
-    """A boolean (height, width) mask: true where the .npy array, or any colour channel of the picture, is not zero.
+def _intrinsics(path: Path, array: np.ndarray, stated: dict[str, Any], camera: CameraChoice) -> Intrinsics:
+    """The intrinsics for an array: those given, else those of its own file."""
+    if isinstance(camera, Camera):
+        return Intrinsics(camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
+    if camera is None and "camera" not in stated:
+        raise ReorientError(f"missing intrinsics for {str(path)!r}: expected a camera file (--camera camera.json)")
+    organised = array.shape[-1:] != (3,) or array.ndim == 3
+    size = (array.shape[1], array.shape[0]) if organised else None
+    if camera is None:
+        return intrinsics_from(stated["camera"], str(path))
+    known = isinstance(camera, Intrinsics)
+    intrinsics = camera if isinstance(camera, Intrinsics) else read_intrinsics(camera, size, path)
+    if size is not None:
+        return fitted(intrinsics, size, "the camera" if known else str(camera), str(path))
+    if intrinsics.width is None or intrinsics.height is None:
+        raise ReorientError(
+            f"{str(path)!r} holds {len(array)} points in no order, and its camera has no image size: expected width "
+            "and height in the camera file"
+        )
+    return intrinsics
 
-    Of a picture with transparent pixels (a cut-out) the mask is where it is at least half opaque.
-    """
-    path = _existing(path, "mask")
-    try:
-        if path.suffix == ".npy":
-            return np.asarray(np.load(path) != 0)
-        with Image.open(path) as picture:
-            if picture.mode != "P" and len(picture.getbands()) == 1:  # RGB would clip its numbers
-                return np.asarray(np.asarray(picture) != 0)
-            rgba = np.asarray(picture.convert("RGBA"))
-            transparent = rgba[..., 3].min() == 0
-            return np.asarray(rgba[..., 3] >= 128 if transparent else rgba[..., :3].max(axis=-1) > 0)
-    except Exception as error:
-        raise ReorientError(f"cannot read mask {str(path)!r} ({error}): expected a picture or a .npy array") from error
 
-
-def _existing(path: str | Path, what: str) -> Path:
-    path = Path(path)
-    if path.is_dir():
-        raise ReorientError(f"{str(path)!r} is a folder: expected a file")
-    if not path.is_file():
-        raise ReorientError(f"no {what} at {str(path)!r}: expected an existing file")
-    return path
+def _metres(array: np.ndarray, scale_m: float | None) -> tuple[np.ndarray, np.ndarray]:
+    """Depth or points in metres, and the pixels without return of unsigned 16-bit depth."""
+    if array.dtype.kind in "iu":
+        if array.dtype.itemsize == 1:
+            raise ReorientError(f"depth of dtype {array.dtype}: expected 16 bits or more, 8 have no useful resolution")
+        unknown = (array == NO_RETURN) & (array.dtype == np.uint16)
+        return array * (SCALE_M if scale_m is None else scale_m), unknown
+    depth = array[..., 2] if array.ndim == 3 else array
+    with np.errstate(invalid="ignore"):
+        returns = depth[(depth > 0) & np.isfinite(depth)]
+    if scale_m is not None and len(returns) and np.median(returns) > MILLIMETRES_ABOVE:
+        array = array * scale_m
+    return array, np.zeros(array.shape[:2], bool)
 
 
 def _check_scale(scale_m: Any) -> float:
     if not (isinstance(scale_m, int | float) and 0 < scale_m < np.inf):
         raise ReorientError(f"depth scale {scale_m!r}: expected metres per unit, above 0")
     return float(scale_m)
-
-
-def _read_arrays(path: Path) -> tuple[np.ndarray, dict[str, Any]]:
-    """The array as stored, and the metadata of the file: camera, scale_m, stamp_s."""
-    try:
-        array, stated = {".npy": _read_npy, ".npz": _read_npz}.get(path.suffix.lower(), _read_picture)(path)
-    except ReorientError:
-        raise
-    except Exception as error:  # the decoders raise many kinds of errors on broken files
-        raise ReorientError(
-            f"cannot read depth image {str(path)!r} ({type(error).__name__}: {error}): expected a complete file"
-        ) from error
-    if not (isinstance(array, np.ndarray) and array.dtype.kind in "fiu" and isinstance(stated, dict)):
-        raise ReorientError(f"{str(path)!r} holds no depth: expected an array of numbers")
-    return array, stated
-
-
-def _read_npy(path: Path) -> tuple[Any, Any]:
-    return np.load(path), {}
-
-
-def _read_npz(path: Path) -> tuple[Any, Any]:
-    with np.load(path) as arrays:
-        if "depth_m" not in arrays:
-            raise ReorientError(f"{str(path)!r} holds {', '.join(arrays)}: expected an array depth_m")
-        return arrays["depth_m"], json.loads(str(arrays["stated"])) if "stated" in arrays else {}
-
-
-def _read_picture(path: Path) -> tuple[Any, Any]:
-    with Image.open(path) as picture:
-        if picture.mode not in ("I;16", "I;16B", "I", "F"):
-            raise ReorientError(f"{str(path)!r} is a {picture.mode} picture: expected 16-bit depth with one channel")
-        if path.suffix.lower() == ".png":
-            stated = json.loads(picture.info.get("reorient", "{}"))
-        else:
-            description = picture.tag_v2.get(_TIFF_DESCRIPTION, "")  # type: ignore[attr-defined]
-            stated = json.loads(description) if description.startswith("{") else {}
-        array = np.array(picture)
-    if array.dtype != np.float32:
-        stated.setdefault("scale_m", SCALE_M)
-    return array, stated
-
-
-def _camera_data(camera: Camera) -> dict[str, Any]:
-    names = ("width", "height", "fx", "fy", "cx", "cy")
-    return {name: getattr(camera, name) for name in names} | {"pixel_centers_at": 0.5}
-
-
-def camera_from(data: Any, source: str) -> Camera:
-    """Intrinsics from parsed JSON of the file ``source``. Formats and errors as of ``read_camera``."""
-    if not isinstance(data, dict):
-        raise ReorientError(f"camera in {source!r}: expected a JSON object with width, height and intrinsics")
-    try:
-        width, height = int(data["width"]), int(data["height"])
-        if (width, height) != (float(data["width"]), float(data["height"])):
-            raise ReorientError(
-                f"camera in {source!r} of {data['width']} x {data['height']} px: expected whole numbers"
-            )
-        return Camera(width, height, *_optics(data, source))
-    except ReorientError:
-        raise
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise ReorientError(
-            f"missing intrinsics in {source!r} ({error}): expected width, height and fx, fy, cx, cy, or an Open3D "
-            "intrinsic_matrix, or RealSense's ppx, ppy"
-        ) from error
-
-
-def _optics(data: dict[str, Any], source: str) -> tuple[float, float, float, float]:
-    """(fx, fy, cx, cy) with pixel centres at +0.5, from any of the three formats."""
-    if "intrinsic_matrix" in data:
-        return _open3d_optics(data["intrinsic_matrix"], source)
-    if "ppx" in data:
-        return _realsense_optics(data, source)
-    fx, fy, cx, cy = (float(data[name]) for name in ("fx", "fy", "cx", "cy"))
-    offset = 0.5 - float(data.get("pixel_centers_at", 0.5))
-    return fx, fy, cx + offset, cy + offset
-
-
-def _open3d_optics(matrix: Any, source: str) -> tuple[float, float, float, float]:
-    """Open3D stores the intrinsic matrix column by column; some writers store it row by row."""
-    K = np.array(matrix, float).reshape(3, 3)
-    K = K.T if np.any(K[2, :2]) else K
-    try:
-        camera = Camera.from_K(K, 1, 1)
-    except ReorientError as error:
-        raise ReorientError(
-            f"intrinsic_matrix in {source!r}: expected [fx 0 0 0 fy 0 cx cy 1], column by column, in pixels"
-        ) from error
-    return camera.fx, camera.fy, camera.cx, camera.cy
-
-
-def _realsense_optics(data: dict[str, Any], source: str) -> tuple[float, float, float, float]:
-    """RealSense counts pixel centres at integers, and states lens distortion as ``coeffs``."""
-    if np.any(np.asarray(data.get("coeffs", 0.0), float) != 0):
-        raise ReorientError(f"camera in {source!r} has lens distortion {data['coeffs']}: expected a rectified image")
-    fx, fy, cx, cy = (float(data[name]) for name in ("fx", "fy", "ppx", "ppy"))
-    return fx, fy, cx + 0.5, cy + 0.5

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Real
+from scipy import fft, ndimage
 
 from reorient.errors import ReorientError
 from reorient.imaging.camera import Camera
@@ -15,6 +16,9 @@ from reorient.imaging.splatting import splat
 
 SIZE_PX = 128
 FILL = 0.85  # distance of the object's outline from the image centre, over the half width of the image
+GAP_PX = 11  # chosen on 150 pairs of generated objects (sequence 1701) of the preset in_hand
+RELIEF_SCATTER = 0.1  # of depth differences, over the width of the view, that weighs as much as the whole overlap
+ALIKE = 0.015  # shifts whose scores differ by less are averaged; not tuned
 BEHIND = 0.15  # depth of the guessed pivot behind the centroid of the visible surface, over the width of the view
 
 
@@ -110,6 +114,19 @@ def join(first: Float[np.ndarray, "n 2 2"], second: Float[np.ndarray, "n 2 2"]) 
     return np.stack([np.minimum(first[..., 0], second[..., 0]), np.maximum(first[..., 1], second[..., 1])], axis=-1)
 
 
+def filled(views: Float32[np.ndarray, "n k size size"]) -> Float32[np.ndarray, "n k size size"]:
+    """Views whose gaps narrower than ``GAP_PX`` are closed, by a grey closing of the inverse depth.
+
+    Dropouts and holes of a mask are no shape; a network that meets them takes them for one.
+    """
+    nearness = np.divide(1, views, out=np.zeros_like(views), where=views > 0)
+    size = (1, 1, GAP_PX, GAP_PX)
+    closed = ndimage.grey_closing(nearness, size, mode="constant")
+    out: Float32[np.ndarray, "n k size size"] = views.copy()
+    np.divide(1, closed, out=out, where=(views == 0) & (closed > 0))
+    return out
+
+
 def network_input(
     pair: Float32[np.ndarray, "n 2 size size"], tangent: Float[np.ndarray, " n"]
 ) -> Float32[np.ndarray, "n 2 size size"]:
@@ -175,18 +192,36 @@ def slide(
     goal_m: Float32[np.ndarray, "n size size"],
     tangent: Float[np.ndarray, " n"],
 ) -> Float[np.ndarray, "n 3"]:
-    """Translations, virtual camera axes, metres, that align views with goal views: by the middle of the outlines, and
-    by the median depth difference where both show the object. Zero where a view has no return."""
-    shifts = np.zeros((len(seen_m), 3))
-    for shift, seen, goal, wide in zip(shifts, seen_m, goal_m, tangent, strict=True):
-        if not (seen.any() and goal.any()):
-            continue
-        unit = 2 * wide / len(goal)
-        z = goal[goal > 0].mean()
-        for i, axis in enumerate((0, 1)):
-            a, b = (np.nonzero((x > 0).any(axis=axis))[0] for x in (seen, goal))
-            shift[i] = (b[0] + b[-1] - a[0] - a[-1]) / 2 * unit * z
-        both = (seen > 0) & (goal > 0)
-        if both.any():
-            shift[2] = np.median(goal[both] - seen[both])
-    return shifts
+    """Translations, virtual camera axes, metres, that align views with goal views. Zero where a view has no return.
+
+    Of all shifts in whole pixels, those at which most pixels show the object in both views and the depth differences
+    there scatter least; then the median depth difference. Part of a view may be missing, so that the boxes and the
+    centroids of both views differ.
+    """
+    return np.stack([_slide(*views) for views in zip(seen_m, goal_m, tangent, strict=True)])
+
+
+def _slide(
+    seen_m: Float32[np.ndarray, "size size"], goal_m: Float32[np.ndarray, "size size"], tangent: float
+) -> Float[np.ndarray, "3"]:
+    views_m = np.stack([seen_m, goal_m])
+    valid = views_m > 0
+    if not valid.any(axis=(1, 2)).all():
+        return np.zeros(3)
+    size, distance_m = len(goal_m), float(goal_m[valid[1]].mean())
+    width_m, padded = 2 * tangent * distance_m, (3 * size // 2, 3 * size // 2)  # shifts up to half a view either way
+    relief = np.where(valid, (views_m - distance_m) / width_m, 0)
+    seen, goal = fft.rfft2(np.stack([valid, relief, relief**2], axis=1).astype(np.float32), padded)
+    spectra = np.stack([np.conj(seen[a]) * goal[b] for a, b in ((0, 0), (0, 1), (1, 0), (0, 2), (2, 0), (1, 1))])
+    sums = fft.fftshift(fft.irfft2(spectra, padded), axes=(1, 2))
+    common, of_goal, of_seen, goal_squares, seen_squares, products = sums
+    common = np.maximum(common, 1)
+    variance = (seen_squares + goal_squares - 2 * products) / common - ((of_goal - of_seen) / common) ** 2
+    score = common / common.max() - variance / RELIEF_SCATTER**2
+    score[common < common.max() / 2] = -np.inf
+    rows, columns = np.nonzero(score >= score.max() - ALIKE)
+    shift_px = np.array([columns.mean(), rows.mean()]) - padded[0] // 2
+    moved = np.roll(seen_m, np.rint(shift_px[::-1]).astype(int), (0, 1))
+    both = (moved > 0) & valid[1]
+    depth_m = float(np.median(goal_m[both] - moved[both])) if both.any() else 0.0
+    return np.array([*(shift_px * width_m / size), depth_m])

@@ -17,6 +17,7 @@ from reorient.imaging.virtual_camera import (
     SIZE_PX,
     VirtualCamera,
     aim,
+    filled,
     join,
     network_input,
     outline,
@@ -53,7 +54,7 @@ def prepare(
     camera = reader.camera
     outlines = join(*(outline(batch.images[:, k] > 0, camera) for k in (0, 1)))
     virtual = aim(outlines) if rng is None else _varied_camera(outlines, rng)
-    views = virtual.view(batch.images, camera)
+    views = filled(virtual.view(batch.images, camera))
     R_goal_current = virtual.from_camera(so3.matrix_from_quat(batch.quat_wxyz))
     if rng is not None and augmentation.noise > 0:
         for k in (0, 1):

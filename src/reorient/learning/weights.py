@@ -25,10 +25,10 @@ def load_weights(network: nn.Module, path: Path) -> None:
     Raises ReorientError for a broken file and for weights of another network.
     """
     with loading(path, "the network's own"):
-        if path.suffix == ".ckpt":
+        if path.suffix.lower() == ".ckpt":
             weights = last_state(path)["network"]
         else:
-            weights = _onnx_weights(path) if path.suffix == ".onnx" else load_file(path)
+            weights = _onnx_weights(path) if path.suffix.lower() == ".onnx" else load_file(path)
         known = network.state_dict()
         weights |= {key: known[key] for key in known if key.endswith("num_batches_tracked")}  # no export has it
         network.load_state_dict({key: value.to(known[key].dtype) for key, value in weights.items()})

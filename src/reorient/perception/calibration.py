@@ -14,7 +14,8 @@ import numpy as np
 from reorient import se3, so3
 from reorient.errors import ReorientError
 from reorient.imaging import Camera
-from reorient.imaging.files import camera_from
+from reorient.imaging.documents import parse_json
+from reorient.imaging.intrinsics import camera_from
 from reorient.runs.files import replacing
 from reorient.se3 import Transform
 
@@ -52,7 +53,7 @@ def read_calibration(path: str | Path) -> Calibration:
     if not path.is_file():
         raise ReorientError(f"no calibration file {str(path)!r}: expected JSON with 'depth' and perhaps 'color'")
     try:
-        data = json.loads(path.read_text(errors="replace"))
+        data = parse_json(path.read_text(encoding="utf-8-sig", errors="replace"))
         color = data.get("color")
         return Calibration(_mounted(data, "depth"), None if color is None else _mounted(data, "color"))
     except json.JSONDecodeError as error:

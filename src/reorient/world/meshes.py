@@ -22,7 +22,7 @@ def load_mesh(path: str | Path) -> trimesh.Trimesh:
         raise ReorientError(f"no mesh file {str(path)!r}: expected an existing .stl, .obj, .ply, .dae, .npz, ... file")
     mesh: object
     try:
-        if path.suffix == ".npz":
+        if path.suffix.lower() == ".npz":
             with np.load(path) as arrays:
                 mesh = trimesh.Trimesh(arrays["v"].astype(float), arrays["f"].astype(int), process=False)
         else:
