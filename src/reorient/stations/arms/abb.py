@@ -13,8 +13,6 @@ from reorient.plugins import import_extra
 from reorient.se3 import Transform
 from reorient.stations.arms.supervised import StraightPath, SupervisedArm
 
-_SILENT_S = 0.2  # without a message, of which there are 250 a second: the connection is lost
-
 
 @dataclass(kw_only=True, eq=False)
 class AbbArm(SupervisedArm):
@@ -62,7 +60,7 @@ class AbbArm(SupervisedArm):
         """The measured pose of the tool, T_base_tool. Raises StationError as the class describes."""
         with self._lock:
             state = self._state
-        if state is None or time.monotonic() - state[2] > _SILENT_S:
+        if state is None or time.monotonic() - state[2] > self.silent_s:
             raise StationError(f"connection to the controller lost: no message at UDP port {self.port}")
         T, message, _ = state
         if not (message.motors_on and message.rapid_running):
@@ -111,7 +109,7 @@ class AbbArm(SupervisedArm):
         T, now_s = from_egm(*message.cartesian), time.monotonic()
         with self._lock:
             guided = message.robot_message.mciState.state == message.robot_message.mciState.MCI_RUNNING
-            if self._state is None or now_s - self._state[2] > _SILENT_S or not guided:
+            if self._state is None or now_s - self._state[2] > self.silent_s or not guided:
                 self._hold, self._path = T, None  # it starts anew: an old pose would make it jump
             self._state = (T, message, now_s)
             if self._path is not None:

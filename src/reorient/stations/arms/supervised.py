@@ -66,13 +66,15 @@ class SupervisedArm(ABC):
     """Largest angle of the tool at rest from the commanded orientation. Not tuned."""
     timeout_s: float = 5.0
     """A move that lasts so much longer than planned is stopped; also the longest wait for a connection."""
+    silent_s: float = 0.5
+    """Without a new state from the controller for so long, the connection is lost. Not tuned."""
     failure: str = field(default="", init=False)
     """Why no further move is commanded; empty where one may be."""
 
     def __post_init__(self) -> None:
         check_range(self, "speed_m_s", high=1.0, above=True)
         check_range(self, "speed_deg_s", high=180.0, above=True)
-        check_range(self, "acceleration_m_s2", "acceleration_deg_s2", "timeout_s", above=True)
+        check_range(self, "acceleration_m_s2", "acceleration_deg_s2", "timeout_s", "silent_s", above=True)
         check_range(self, "tolerance_m", "tolerance_deg", above=True)
 
     @abstractmethod
