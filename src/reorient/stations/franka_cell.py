@@ -1,7 +1,7 @@
 """A simulated Franka cell behind the interfaces of a real one, for demonstrations and tests.
 
 The arm is franky-sim: libfranka's protocol on the dynamics of MuJoCo. The camera ray-casts the held object over a
-table, and writes its frames to a folder. Each is a process of its own, which knows of the other the pose of the hand alone.
+table, and writes its frames to a folder. Each is a process of its own; the camera learns the pose of the hand alone.
 Run it with ``python -m reorient.stations.franka_cell FOLDER``, and use FOLDER/robot.toml meanwhile.
 """
 

@@ -45,16 +45,11 @@ class AbbArm(SupervisedArm):
         self._closed = Event()
         self._thread = Thread(target=self._answer, daemon=True)
         self._thread.start()
-        deadline_s = time.monotonic() + self.timeout_s
-        while self._state is None:
-            if time.monotonic() > deadline_s:
-                self.close()
-                raise StationError(
-                    f"no message at UDP port {self.port} within {self.timeout_s:g} s: expected a controller that runs "
-                    "EGMRunPose and sends to this computer"
-                )
-            time.sleep(0.01)
-        self.pose()
+        try:
+            self._await_controller()
+        except BaseException:
+            self.close()
+            raise
 
     def pose(self) -> Transform:
         """The measured pose of the tool, T_base_tool. Raises StationError as the class describes."""
@@ -84,6 +79,17 @@ class AbbArm(SupervisedArm):
         self._closed.set()
         self._thread.join()
         self._egm.close()
+
+    def _await_controller(self) -> None:
+        deadline_s = time.monotonic() + self.timeout_s
+        while self._state is None:
+            if time.monotonic() > deadline_s:
+                raise StationError(
+                    f"no message at UDP port {self.port} within {self.timeout_s:g} s: expected a controller that runs "
+                    "EGMRunPose and sends to this computer"
+                )
+            time.sleep(0.01)
+        self.pose()
 
     def _begin(self, path: StraightPath) -> None:
         with self._lock:

@@ -103,9 +103,11 @@ class SupervisedArm(ABC):
         """
         if self.failure:
             raise StationError(f"the arm is not moved again after: {self.failure}; expected a new driver")
+        T_end = np.asarray(T_base_tool, float)
+        if T_end.shape != (4, 4) or not np.isfinite(T_end).all() or not so3.is_rotation(T_end[:3, :3]):
+            raise StationError("refused to move: expected T_base_tool, a rigid (4, 4) transform in metres")
         try:
-            T_start = self.pose()
-            path = self.path(T_start, np.asarray(T_base_tool, float))
+            path = self.path(self.pose(), T_end)
             self._begin(path)
             return self._arrived(path)
         except BaseException as error:

@@ -60,6 +60,10 @@ class UrArm(SupervisedArm):
         """Stop the arm: a program of one ``stopl`` replaces the one that runs."""
         self._send(f"stopl({_STOP_M_S2})")
 
+    def close(self) -> None:
+        """Disconnect."""
+        self._rtde.disconnect()
+
     def _begin(self, path: StraightPath) -> None:
         if (state := self._rtde.getRuntimeState()) != _STOPPED:
             raise StationError(
