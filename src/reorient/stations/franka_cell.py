@@ -25,7 +25,7 @@ from reorient.se3 import Transform
 from reorient.stations.simulated import HOME_M, SimulatedCell
 from reorient.world.objects import generated
 
-FRAME_S = 0.2  # between two frames
+FRAME_S = 0.25  # between two frames
 _KEPT = 20  # frames in the folder
 _STEPS = 10  # milliseconds of simulation between two poses that the camera learns
 _CAMERA = Camera(640, 480, 600.0, 600.0, 320.0, 240.0)
@@ -95,6 +95,8 @@ class FrankaCell:
 [camera]
 driver = "folder"
 frames = "{frames.resolve()}"
+host_clock = true
+timeout_s = 20.0
 
 [arm]
 driver = "franka"
