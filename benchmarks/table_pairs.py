@@ -80,8 +80,8 @@ def main(config: TablePairs) -> None:
                 cells["error_sym_deg"] = f"{np.degrees(error):.3f}"
                 cells["error_deg"] = f"{np.degrees(angle_difference(R, pair.R_goal_current)):.3f}"
             rows.append({"pair": index, "object": name, "way": way} | pair.about | cells)
-    columns = list(dict.fromkeys(column for row in rows for column in row))
-    write_table(config.out, [{column: str(row.get(column, "")) for column in columns} for row in rows])
+        columns = list(dict.fromkeys(column for row in rows for column in row))
+        write_table(config.out, [{column: str(row.get(column, "")) for column in columns} for row in rows])
     for way in config.ways:
         print(summary(way, [row for row in rows if row["way"] == way]))
 

@@ -17,6 +17,8 @@ import pytest
 
 from reorient import so3
 from reorient.cli import main
+from reorient.estimators import load_estimator
+from reorient.imaging import Camera
 from reorient.stations.rendered import RenderedStation
 from reorient.world.objects import generated
 from reorient.world.rendering import load_world
@@ -126,7 +128,7 @@ def options(text: str) -> set[str]:
 @cache
 def verbs() -> list[str]:
     """All verbs, those of two words included."""
-    return re.findall(r"^  ([a-z]+(?: [a-z]+)?)  +[A-Z]", printed_help(), re.MULTILINE)
+    return re.findall(r"^  ([a-z-]+(?: [a-z]+)?)  +[A-Z]", printed_help(), re.MULTILINE)
 
 
 @cache
@@ -237,4 +239,19 @@ def test_the_block_of_the_readme_runs():
     names = {"depth_now_m": cell.capture().depth_m, "depth_goal_m": goal, "my_station": cell}
     exec(block, names)
     assert np.degrees(so3.angle_difference(names["estimate"].R_goal_current, R.T)) < 5
+    assert names["result"].converged
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_the_block_of_the_robot_page_runs(monkeypatch):
+    (block,) = fenced((ROOT / "docs" / "robot.md").read_text(), "python")
+    monkeypatch.setattr("time.sleep", lambda seconds: None)
+    monkeypatch.setattr("reorient.stations.simulated.CAMERA", Camera(160, 120, 165.0, 165.0, 80.0, 60.0))
+    for module in ("reorient", "reorient.stations.calibrating"):  # the default takes three times as long
+        monkeypatch.setattr(f"{module}.load_estimator", lambda name="gicp": load_estimator("gicp"))
+    names: dict[str, object] = {}
+    exec(block, names)
+    cell = names["sdk_arm"].cell
+    found = names["calibration"].T_base_camera[:3, :3]
+    assert np.degrees(so3.angle_difference(found, cell.T_base_camera[:3, :3])) < 1
     assert names["result"].converged

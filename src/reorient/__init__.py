@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from reorient.errors import ReorientError, StationError
     from reorient.estimators import load_estimator
     from reorient.estimators.base import Estimator, RotationEstimate
-    from reorient.imaging import Camera, DepthImage
+    from reorient.imaging import Camera, DepthImage, Isolation
     from reorient.perception.robot_calibration import RobotCalibration
     from reorient.stations.calibrating import calibrate
     from reorient.stations.guarded import RobotLimits
@@ -27,6 +27,7 @@ __all__ = [
     "DepthImage",
     "Estimator",
     "Fusing",
+    "Isolation",
     "Limits",
     "OrientResult",
     "ReorientError",
@@ -48,7 +49,7 @@ _MODULES = {
     "errors": ("ReorientError", "StationError"),
     "estimators": ("load_estimator",),
     "estimators.base": ("Estimator", "RotationEstimate"),
-    "imaging": ("Camera", "DepthImage"),
+    "imaging": ("Camera", "DepthImage", "Isolation"),
     "perception.robot_calibration": ("RobotCalibration",),
     "stations.calibrating": ("calibrate",),
     "stations.guarded": ("RobotLimits",),

@@ -422,8 +422,8 @@ def test_options_and_files_that_do_not_fit(command, message, capsys):
     [
         ("ball.npz --near 1 --far 0.5", "--near 1 --far 0.5: expected --near below --far"),
         ("none.npz --near 1 --far 0.5", "--near 1 --far 0.5: expected --near below --far"),  # before reading
-        ("ball.npz --near 0.7 --far 0.9", "ball.npz: no returns between 0.7 and 0.9 m (depths are 0.60-0.60 m)"),
-        ("ball.npz --near 5", "ball.npz: no returns beyond 5 m (depths are 0.60-0.60 m)"),
+        ("ball.npz --near 0.7 --far 0.9", "ball.npz: no returns in the depth range: depths are 0.60-0.60 m; --near is 0.7, --far is 0.9"),
+        ("ball.npz --near 5", "ball.npz: no returns in the depth range: depths are 0.60-0.60 m; --near is 5"),
         ("ball.npz --near nan", "--near nan: expected metres from 0, or '-' for none"),
         (". --near 0.3", "'.' is a folder: expected a file"),
     ],

@@ -13,6 +13,7 @@ R = so3.exp(np.array([0.3, -1.2, 0.7]))
 T = se3.transform(R, np.array([0.4, -0.25, 0.8]))
 W, X, Y, Z = so3.quat_from_matrix(R)
 
+TF = {"translation": {"x": 0.4, "y": -0.25, "z": 0.8}, "rotation": {"x": X, "y": Y, "z": Z, "w": W}}
 EASY_HANDEYE = f"""parameters:
   eye_on_hand: false
   tracking_base_frame: camera_link
@@ -86,7 +87,7 @@ MATRIX_BLOCK = "matrix:\n" + "".join(f"- {x}\n" for x in T.ravel())
         ("a.csv", "\n".join(",".join(map(str, row)) for row in T)),
         ("a.json", json.dumps(T.tolist())),
         ("a.json", json.dumps({"T_base_camera": T.tolist()})),
-        ("tf.json", json.dumps({"translation": dict(zip("xyz", T[:3, 3], strict=True)), "rotation": dict(x=X, y=Y, z=Z, w=W)})),
+        ("tf.json", json.dumps(TF)),
         ("a.yaml", MATRIX_YAML),
         ("a.yaml", MATRIX_BLOCK),
         ("tf.yaml", ROS),

@@ -56,6 +56,7 @@ def test_a_third_of_wrong_estimates_does_no_harm(rng):
     assert not found.agree[::3].any()
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_the_standard_error_is_that_of_repeated_calibrations():
     """Of estimates with independent errors; the jackknife over images is conservative for these."""
     rng = np.random.default_rng(3)

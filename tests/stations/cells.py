@@ -3,12 +3,16 @@
 import numpy as np
 import trimesh
 
+from reorient import se3, so3
+from reorient.estimators.base import RotationEstimate
 from reorient.imaging import Camera
 from reorient.perception.robot_calibration import RobotCalibration
+from reorient.registration import Evidence
 from reorient.stations.guarded import GuardedArm, RobotLimits
 from reorient.stations.simulated import SimulatedArm, SimulatedCamera, SimulatedCell
 from reorient.world.sensing import Sensor
 
+EVIDENCE = Evidence(1.0, 0.0, 0.0, 0.0, 0.0)
 AT_ONCE = RobotLimits(settle_s=0.0)
 
 
@@ -30,3 +34,29 @@ def true_calibration(cell: SimulatedCell) -> RobotCalibration:
 
 def drivers(cell: SimulatedCell, limits: RobotLimits = AT_ONCE) -> tuple[SimulatedCamera, GuardedArm]:
     return SimulatedCamera(cell), GuardedArm(SimulatedArm(cell), limits)
+
+
+class KnowingEstimator:
+    """An estimator that knows the cell's true pose at each frame, by the frame's stamp; ``noise_rad``: its error."""
+
+    def __init__(self, cell: SimulatedCell, noise_rad: float = 0.0) -> None:
+        self.noise_rad, self.rng, self.poses = noise_rad, np.random.default_rng(1), {}
+        frame = cell.frame
+
+        def recorded():
+            T = cell.T_camera_object
+            image = frame()
+            self.poses[image.stamp_s] = T
+            return image
+
+        cell.frame = recorded
+
+    def estimate(self, current, goal, pivot_m=None, history=()):
+        T = self.motion(current, goal)
+        error = so3.exp(self.rng.normal(0, self.noise_rad, 3)) if self.noise_rad else np.eye(3)
+        center_m = current.points().mean(axis=0)
+        R = error @ T[:3, :3]
+        return RotationEstimate(R, se3.apply(T, center_m) - R @ center_m, EVIDENCE)
+
+    def motion(self, current, goal):
+        return self.poses[goal.stamp_s] @ se3.inverse(self.poses[current.stamp_s])

@@ -48,7 +48,7 @@ class Frames:
     """Ignore returns nearer than this, in metres."""
     far: Annotated[tuple[str, ...], Metavar("M")] = ()
     """Ignore returns farther than this, in metres."""
-    around: Annotated[tuple[float, ...], Metavar(("X", "Y", "Z", "RADIUS"))] = ()
+    around: Annotated[tuple[float, ...], Metavar("X Y Z RADIUS")] = ()
     """Keep returns within a sphere, in camera axes, in metres: four numbers, or eight for two spheres."""
     remove_plane: bool = False
     """Remove planes that continue beyond what the other options leave, such as a table and walls."""
@@ -65,10 +65,13 @@ class Frames:
         from reorient.imaging.files import read_depth, read_mask
 
         name, camera_file = "goal" if goal else "current", _each(self.camera, goal, "--camera")
-        raw = read_depth(path, self._camera(camera_file), _each(self.depth_scale, goal, "--depth-scale"))
+        isolation, scale_m = self._isolation(goal), _each(self.depth_scale, goal, "--depth-scale")
+        raw = read_depth(path, self._camera(camera_file), scale_m)
+        background = _each(self.background, goal, "--background")
+        if background not in (None, "-"):
+            isolation = replace(isolation, background=read_depth(background, raw.camera, scale_m))
         mask = _each(self.mask, goal, "--mask")
         mask_array = None if mask in (None, "-") else read_mask(mask)
-        isolation = self.isolation(raw.camera, goal=goal)
         try:
             return Input(name, raw, isolation(raw, mask_array))
         except ReorientError as error:
@@ -83,16 +86,13 @@ class Frames:
             _show(inputs, show)
         return inputs
 
-    def isolation(self, camera: "Camera | None", *, goal: bool) -> "Isolation":
-        """The options of one image; ``camera``: of the background where its file has none."""
+    def _isolation(self, goal: bool) -> "Isolation":
+        """The options of one image, without the background."""
         from reorient.imaging import Isolation
-        from reorient.imaging.files import read_depth
 
         near_m, far_m = _metres(self.near, goal, "--near"), _metres(self.far, goal, "--far")
         if near_m is not None and far_m is not None and near_m >= far_m:
             raise ReorientError(f"--near {near_m:g} --far {far_m:g}: expected --near below --far")
-        background = _each(self.background, goal, "--background")
-        scale_m = _each(self.depth_scale, goal, "--depth-scale")
         around = _four(self.around, goal, "--around", "x y z radius in metres")
         return Isolation(
             box_px=self._box(goal),
@@ -101,7 +101,6 @@ class Frames:
             around_m=around and around[:3],
             radius_m=around and around[3],
             remove_plane=self.remove_plane,
-            background=None if background in (None, "-") else read_depth(background, camera, scale_m),
             allow_touching=self.allow_touching,
         )
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class NewRobot:
-    """Write a commented robot.toml to fill in: camera, arm, isolation, limits.
+    """Write a commented robot.toml to fill in.
 
     Examples:
         reorient new-robot robot.toml
@@ -40,7 +40,7 @@ class NewRobot:
 
 @dataclass(frozen=True)
 class Calibrate:
-    """Find the camera's pose and the rotation centre, by rotating the object that the gripper holds.
+    """Find the camera's pose and the pivot by rotating the held object.
 
     No calibration board is needed. The arm rotates the tool by up to 35 degrees, 8 times, about the tool point of
     robot.toml, and returns; it needs an object without symmetry in the gripper, in view of the camera.
@@ -78,7 +78,7 @@ class Calibrate:
 
 @dataclass(frozen=True)
 class Check:
-    """Check a robot cell by small motions of the held object, and name a mistake in words.
+    """Check a robot cell by small motions, and name a mistake in words.
 
     The arm rotates the tool by 5 degrees about three axes, either way, moves it by 4 cm along them, and returns. The
     exit code is 0 where the cell is right, and 1 where it is not.
@@ -89,7 +89,7 @@ class Check:
 
     robot: Positional[Path]
     """File that ``reorient new-robot`` wrote."""
-    estimator: str = "default"
+    estimator: str = "fast"
     """Estimator of the rotations, as of ``reorient orient``."""
 
     def run(self) -> int:

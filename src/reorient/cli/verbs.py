@@ -38,16 +38,9 @@ GROUPS = {
         "estimate": Verb("estimating:Estimate", "Estimate the rotation between two depth images of one object."),
     },
     "robot": {
-        "new-robot": Verb(
-            "robot_setup:NewRobot", "Write a commented robot.toml to fill in: camera, arm, isolation, limits."
-        ),
-        "calibrate": Verb(
-            "robot_setup:Calibrate",
-            "Find the camera's pose and the rotation centre, by rotating the object that the gripper holds.",
-        ),
-        "check": Verb(
-            "robot_setup:Check", "Check a robot cell by small motions of the held object, and name a mistake in words."
-        ),
+        "new-robot": Verb("robot_setup:NewRobot", "Write a commented robot.toml to fill in."),
+        "calibrate": Verb("robot_setup:Calibrate", "Find the camera's pose and the pivot by rotating the held object."),
+        "check": Verb("robot_setup:Check", "Check a robot cell by small motions, and name a mistake in words."),
         "demo": Verb("demo:Demo", "Rotate a simulated object to a goal, and write a GIF and a page of the run."),
         "capture": Verb("stations:Capture", "Capture the goal image at a station."),
         "orient": Verb("robot:Orient", "Rotate the object at a station until it matches the goal image."),

@@ -15,9 +15,9 @@ Labels = Int[np.ndarray, "height width"]
 _STEP_M = 0.012  # neighbours with a larger step in depth are in different clusters
 _FEWEST = 8  # returns of a cluster; fewer are stray ones
 _SPECK = 0.03  # of the largest cluster: smaller ones are stray returns
-_NEAR = 0.12  # a cluster belongs to the object if its gap, relative to the object's size, is below this,
+_NEAR = 0.25  # a cluster belongs to the object if its gap, relative to the object's size, is below this,
 _BRIDGED = 0.6  # or below this, with no farther returns within the gap: a finger or a shadow cuts the object
-_STEP = 0.25  # or below this, where they are neighbours in the image and the nearer one hides what connects them
+_STEP = 0.4  # or below this, where they are neighbours in the image and the nearer one hides what connects them
 _HIDDEN = 0.7  # share of the pixels within the gap that must hide it
 _SIMILAR = 1 / 3  # of the object's returns: a cluster with at least this many may be meant as well
 

@@ -1,5 +1,6 @@
 """Isolating an object: which returns of a raw frame show it, and which pixels are unknown."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
 from operator import index
@@ -13,8 +14,8 @@ from reorient.errors import ReorientError
 from reorient.imaging.connected import object_clusters
 from reorient.imaging.depth_image import DepthImage
 from reorient.imaging.masks import Mask
-from reorient.imaging.planes import above, continuing_planes, off_surface
-from reorient.imaging.refusals import refuse_cut, refuse_held_by_plane, refuse_second_object, require_isolated
+from reorient.imaging.planes import Plane, above, continuing_planes, off_surface
+from reorient.imaging.refusals import refuse_continuing, refuse_second_object, require_isolated
 from reorient.imaging.unknown import unknown_beside
 
 _EVERYTHING = 0.95  # share of the frame above which a mask selects nothing
@@ -67,39 +68,41 @@ class Isolation:
         """The image of the object alone.
 
         ``mask``: not zero on the object. Removed returns in front of the object, and pixels without return inside it or
-        next to it, become unknown; all others are not the object. Without mask and fields all returns are kept. Raises ReorientError where nothing is left, for a mask of another size, and where what is left is no
-        isolated object: it continues beyond what was chosen, a plane that continues holds most of it, or it is two.
+        next to it, become unknown; all others are not the object. Without mask and fields all returns are kept. Raises
+        ReorientError where nothing is left, for a mask of another size, and where what is left is no isolated object:
+        it continues beyond what was chosen, a plane that continues holds most of it, or it is two.
         """
         if mask is None and self == Isolation():
-            raw = _is_raw(image)
-            return require_isolated(
-                replace(image, unknown=unknown_beside(image, image.valid, image.valid)) if raw else image
-            )
+            raw = bool(np.all(image.valid | image.unknown))  # background out of range is not distinguished
+            unknown = unknown_beside(image, image.valid, image.valid) if raw else image.unknown
+            return require_isolated(replace(image, unknown=unknown))
         inside = np.ones(image.valid.shape, bool) if mask is None else _checked_mask(mask, image)
         part = self._part(image, inside)
-        chosen = part & inside
-        planes = continuing_planes(image, chosen)
-        wide, narrow = ([plane for plane in planes if plane.is_wide == is_wide] for is_wide in (True, False))
-        kept = chosen & image.valid
-        if self.remove_plane:
-            for plane in wide:
-                kept &= above(image, chosen, plane)
-            _require(kept, "no returns are left beside the removed planes: expected an object at least 5 mm high")
-        if self.background is not None:
-            kept &= _changed(image, self._empty_frame(image), chosen)
-            _require(kept, "no returns differ from the background: expected an object that the empty frame lacks")
+        planes = continuing_planes(image, part & inside)
+        kept = self._without_surfaces(image, part & inside, planes)
         found = object_clusters(image, kept, trusted=mask is not None)
-        object_mask = found.mask
         if self.allow_touching:
-            object_mask = object_mask if found.other is None else object_mask | found.other
+            object_mask = found.mask if found.other is None else found.mask | found.other
         else:
+            object_mask = found.mask
             refuse_second_object(image, found)
-            refuse_held_by_plane(image, object_mask, wide, trusted=mask is not None)
-            refuse_cut(image, object_mask, part)
-            refuse_held_by_plane(image, object_mask, narrow, trusted=mask is not None)
+            refuse_continuing(image, object_mask, part, planes, trusted=mask is not None)
         unknown = unknown_beside(image, object_mask, kept, None if mask is None else inside)
         isolated = replace(image, depth_m=np.where(object_mask, image.depth_m, np.float32(0)), unknown=unknown)
         return require_isolated(isolated)
+
+    def _without_surfaces(self, image: DepthImage, part: Mask, planes: Sequence[Plane]) -> Mask:
+        """The returns of a part of the frame without planes and the empty scene. Raises ReorientError for none."""
+        kept = np.asarray(part & image.valid)
+        if self.remove_plane:
+            for plane in planes:
+                if plane.is_wide:
+                    kept &= above(image, part, plane)
+            _require(kept, "no returns are left beside the removed planes: expected an object at least 5 mm high")
+        if self.background is not None:
+            kept &= _changed(image, self._empty_frame(image), part)
+            _require(kept, "no returns differ from the background: expected an object that the empty frame lacks")
+        return kept
 
     def _part(self, image: DepthImage, inside: Mask) -> Mask:
         """The pixels inside the box, the depth range and the sphere; those without return satisfy the latter two.
@@ -146,11 +149,6 @@ class Isolation:
 def isolate(image: DepthImage, mask: Shaped[np.ndarray, "height width"] | None = None, **fields: Any) -> DepthImage:
     """``Isolation(**fields)(image, mask)``: the image of one object, isolated once."""
     return Isolation(**fields)(image, mask)
-
-
-def _is_raw(image: DepthImage) -> bool:
-    """Whether every pixel is a return or unknown, so that background out of range is not distinguished."""
-    return bool(np.all(image.valid | image.unknown))
 
 
 def _changed(image: DepthImage, empty: DepthImage, part: Mask) -> Mask:

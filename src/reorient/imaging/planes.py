@@ -20,7 +20,7 @@ _WIDE = 0.2  # of the rim: a table around an object has nearly all of it, a wall
 _MEDIAN_PX, _MEAN_PX = 5, 9  # windows that smooth heights
 _LOWEST_M, _HIGHEST_M = 0.001, 0.004  # range of the smoothed height below which a return belongs to a plane
 _SINGLE = 6.0  # distance of a return that needs no neighbours, over the noise
-_ABOVE_NOISE = 3.0  # this height, over the noise of the smoothed heights
+_ABOVE_NOISE, _CERTAIN = 3.0, 5.0  # this height, over the noise of the smoothed heights
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,30 +86,36 @@ def above(image: DepthImage, part: Mask, plane: Plane) -> Mask:
 def off_surface(heights_m: Float[np.ndarray, "height width"], valid: Mask, part: Mask, noise_m: float) -> Mask:
     """The returns of a part of a frame that are off a surface, given each one's distance from it and the noise.
 
-    First those whose median over 5 x 5 pixels is off by three times its noise, and those that are off by six times the
-    noise themselves: thin parts. Then those connected to them whose mean over 9 x 9 of the remaining pixels is off: the
-    foot of an object, and low parts beside high ones.
+    Certain are those with a mean over 9 x 9 pixels that is off by five times its noise, and thin parts: those off by
+    six times the noise themselves. Of the returns connected to them belong those with a median over 5 x 5 pixels that
+    is off by three times its noise; then those with such a mean over the remaining pixels: the foot of an object, and
+    low parts beside high ones. So the noise of a large surface leaves nothing.
     """
     near = window(part, 2 * _MEAN_PX)
     heights_m, seen = heights_m[near].astype(np.float32), valid[near]
     nearest = ndimage.distance_transform_edt(~seen, return_distances=False, return_indices=True)
-    median_m = ndimage.median_filter(heights_m[tuple(nearest)], _MEDIAN_PX, mode="nearest")
+    filled_m = heights_m[tuple(nearest)]
     on = seen & (np.abs(heights_m) < max(_FINE * noise_m, _LOWEST_M))
-    limit_m = _limit(median_m, on)
-    off = (np.abs(median_m) > limit_m) | (np.abs(heights_m) > max(_SINGLE * noise_m, limit_m))
+    mean_m = ndimage.uniform_filter(filled_m, _MEAN_PX)
+    median_m = ndimage.median_filter(filled_m, _MEDIAN_PX, mode="nearest")
+    limit_m = _limit(median_m, on, _ABOVE_NOISE)
+    single = np.abs(heights_m) > max(_SINGLE * noise_m, limit_m)
+    off = (np.abs(median_m) > limit_m) | single
+    certain = single | (off & (np.abs(mean_m) > _limit(mean_m, on, _CERTAIN)))
+    off = ndimage.binary_propagation(certain, np.ones((3, 3)), mask=off)
     rest = (seen & ~off).astype(np.float32)
-    count = ndimage.uniform_filter(rest, _MEAN_PX)
-    mean_m = ndimage.uniform_filter(rest * np.clip(heights_m, -limit_m, limit_m), _MEAN_PX) / np.maximum(count, 1e-3)
-    off = ndimage.binary_propagation(off, mask=off | (mean_m > _limit(mean_m, on & ~off)))
+    count = np.maximum(ndimage.uniform_filter(rest, _MEAN_PX), 1e-3)
+    mean_m = ndimage.uniform_filter(rest * np.clip(heights_m, -limit_m, limit_m), _MEAN_PX) / count
+    off = ndimage.binary_propagation(off, mask=off | (mean_m > _limit(mean_m, on & ~off, _ABOVE_NOISE)))
     result = np.zeros_like(part)
     result[near] = off & seen & part[near]
     return result
 
 
-def _limit(smooth_m: Float[np.ndarray, "height width"], on: Mask) -> float:
+def _limit(smooth_m: Float[np.ndarray, "height width"], on: Mask, above_noise: float) -> float:
     """The distance above which smoothed returns are off a surface, from those on it."""
     noise_m = float(np.median(np.abs(smooth_m[on]))) / 0.6745 if on.any() else 0.0
-    return float(np.clip(_ABOVE_NOISE * noise_m, _LOWEST_M, _HIGHEST_M))
+    return float(np.clip(above_noise * noise_m, _LOWEST_M, _HIGHEST_M))
 
 
 def _surroundings(part: Mask) -> Mask:

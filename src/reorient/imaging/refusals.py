@@ -1,6 +1,7 @@
 """What is no isolated object: each refusal names the cure."""
 
 from collections.abc import Sequence
+from typing import NoReturn
 
 import numpy as np
 from jaxtyping import Float
@@ -43,28 +44,34 @@ def refuse_second_object(image: DepthImage, found: ObjectClusters) -> None:
         )
 
 
-def refuse_held_by_plane(image: DepthImage, mask: Mask, planes: Sequence[Plane], trusted: bool) -> None:
-    """Raise ReorientError where one plane that continues beyond what was chosen holds most of the object.
+def refuse_continuing(image: DepthImage, mask: Mask, part: Mask, planes: Sequence[Plane], trusted: bool) -> None:
+    """Raise ReorientError where the object continues beyond a part of the frame: the box, depth range and sphere; or
+    where a plane that continues holds most of it.
 
     ``trusted``: the user's own mask is given. The foot of a low object is in the table's plane then, along a part of
     the mask's rim; a mask with much of the table has it along nearly all of the rim.
     """
+    if trusted:
+        planes = [plane for plane in planes if plane.rim_share > _AROUND]
     points_m = _points(image, mask)
-    for plane in planes:
-        if trusted and plane.rim_share < _AROUND:
-            continue
-        share = float(np.mean(plane.holds(points_m)))
-        if share > (_HELD if plane.is_wide else _HELD_BY_NARROW):
-            cure = "add --remove-plane" if plane.is_wide else "choose the object with --box, --far or --around"
-            raise ReorientError(
-                f"{share:.0%} of what is left lies on a plane that continues beyond it (a table or a wall, "
-                f"{_distance(image, mask)}): {cure}, or give a --mask of the object or the --background without it "
-                "(--allow-touching keeps it)"
-            )
+    held = [float(np.mean(plane.holds(points_m))) * plane.is_wide for plane in planes]
+    if max(held, default=0.0) > _HELD:
+        _refuse_held(image, mask, max(held), "add --remove-plane")
+    _refuse_cut(image, mask, part)
+    held = [float(np.mean(plane.holds(points_m))) for plane in planes]
+    if max(held, default=0.0) > _HELD_BY_NARROW:
+        _refuse_held(image, mask, max(held), "choose the object with --box, --far or --around")
 
 
-def refuse_cut(image: DepthImage, mask: Mask, part: Mask) -> None:
-    """Raise ReorientError where the object continues beyond a part of the frame: the box, depth range and sphere."""
+def _refuse_held(image: DepthImage, mask: Mask, share: float, cure: str) -> NoReturn:
+    raise ReorientError(
+        f"{share:.0%} of what is left lies on a plane that continues beyond it (a table or a wall, "
+        f"{_distance(image, mask)}): {cure}, or give a --mask of the object or the --background without it "
+        "(--allow-touching keeps it)"
+    )
+
+
+def _refuse_cut(image: DepthImage, mask: Mask, part: Mask) -> None:
     pitch_m = image.depth_m / image.camera.fx
     cut = np.zeros_like(mask)
     for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from reorient import se3, so3
 from reorient.errors import ReorientError
 from reorient.estimators import load_estimator
-from reorient.estimators.base import Estimator, RotationEstimate
+from reorient.estimators.base import Estimator, as_estimate
 from reorient.imaging import DepthImage
 from reorient.perception.hand_eye import LEAST_SPREAD_RAD, HandEye, Motion, axis_spread_rad, solve_hand_eye
 from reorient.perception.robot_calibration import RobotCalibration
@@ -113,17 +113,23 @@ def motions_between(views: Sequence[View], estimator: Estimator) -> list[Motion]
     for i, j in combinations(range(len(views)), 2):
         T = views[j].T_base_tool @ se3.inverse(views[i].T_base_tool)
         if SMALLEST_RAD <= float(so3.angle(T[:3, :3])) <= LARGEST_RAD:
-            estimate = estimator.estimate(views[i].image, views[j].image)
-            motions.append(as_motion(T, estimate, views[i].image, (i, j)))
+            motions.append(motion_between(views, i, j, estimator))
     return motions
 
 
-def as_motion(T: Transform, estimate: RotationEstimate, before: DepthImage, images: tuple[int, int]) -> Motion:
-    """A motion from the arm's, an estimate and the image before it."""
-    point_m = np.median(before.points(), axis=0)
-    after_m = se3.apply(estimate.T_goal_current, point_m)
-    covariance = getattr(estimate, "covariance_rad2", None)
-    return Motion(T, np.asarray(estimate.R_goal_current), point_m, after_m, covariance, images)
+def motion_between(views: Sequence[View], i: int, j: int, estimator: Estimator) -> Motion:
+    """The motion from one image to another, by the arm and by the estimator."""
+    before, after = views[i], views[j]
+    estimate = as_estimate(estimator.estimate(before.image, after.image), before.image, after.image)
+    point_m = np.median(before.image.points(), axis=0)
+    return Motion(
+        after.T_base_tool @ se3.inverse(before.T_base_tool),
+        np.asarray(estimate.R_goal_current, float),
+        point_m,
+        se3.apply(estimate.T_goal_current, point_m),
+        estimate.covariance_rad2,
+        (i, j),
+    )
 
 
 def refuse_still(motions: Sequence[Motion]) -> None:

@@ -14,7 +14,7 @@ from reorient.estimators.base import Estimator
 from reorient.imaging import DepthImage
 from reorient.perception.hand_eye import Motion, whitening
 from reorient.perception.robot_calibration import RobotCalibration
-from reorient.stations.calibrating import View, as_motion
+from reorient.stations.calibrating import View, motion_between
 from reorient.stations.drivers import ArmDriver, CameraDriver
 from reorient.stations.guarded import FreshFrames, GuardedArm, Isolate, about
 from reorient.stations.mistakes import AXES, Cell, Mistake, mistakes, predicted
@@ -61,7 +61,8 @@ def check(
 ) -> Check:
     """Move the held object by 5 degrees about three axes, either way, and by 4 cm along them, and compare.
 
-    The arm ends in its present pose. ``isolate`` must not depend on the calibration. Raises ReorientError where the arm
+    The arm ends in its present pose. ``isolate`` must not depend on the calibration. ``estimator`` None: ``fast``, as
+    the motions are small. Raises ReorientError where the arm
     can make no such motions.
     """
     arm = arm if isinstance(arm, GuardedArm) else GuardedArm(arm, p_tool_object_m=calibration.p_tool_object_m)
@@ -76,7 +77,7 @@ def check(
         return Check("nothing held", f"nothing held, or out of view: {error}")
     if all(np.array_equal(view.image.depth_m, views[0].image.depth_m) for view in views[1:]):
         return Check("stale frames", "stale frames: all frames are identical; the camera repeats one frame")
-    return diagnose(views, calibration, estimator or load_estimator())
+    return diagnose(views, calibration, estimator or load_estimator("fast"))
 
 
 class _Empty(ReorientError):
@@ -127,12 +128,9 @@ def _isolated(frames: FreshFrames) -> DepthImage:
 
 def diagnose(views: Sequence[View], calibration: RobotCalibration, estimator: Estimator) -> Check:
     """Which cell explains the images: the stated one, or one without a known mistake."""
-    motions = []
     pairs = [(0, j) for j in range(1, len(views))] + [(j, j + 1) for j in range(1, len(views) - 1)]
-    for i, j in pairs:
-        T = views[j].T_base_tool @ se3.inverse(views[i].T_base_tool)
-        motions.append(as_motion(T, estimator.estimate(views[i].image, views[j].image), views[i].image, (i, j)))
-    evidence = _Evidence(motions, calibration.p_tool_object_m, _center_m(views[0]))
+    motions = [motion_between(views, i, j, estimator) for i, j in pairs]
+    evidence = _Evidence.of(motions, calibration.p_tool_object_m, _center_m(views[0]))
     stated = Cell(calibration.T_base_camera, tuple(view.T_base_tool for view in views), np.eye(3))
     rotation_deg, position_m = evidence.errors(stated)
     terms = np.sort(evidence.terms(stated))
@@ -160,16 +158,40 @@ def _penalty(mistake: Mistake) -> float:
 class _Evidence:
     """The motions by the camera, and the object's place."""
 
-    motions: Sequence[Motion]
+    images: tuple[tuple[int, int], ...]
+    """Of each motion."""
+    R: Float[np.ndarray, "n 3 3"]
+    """Each motion's rotation."""
+    white: Float[np.ndarray, "n 3 3"]
+    """From its residual to one of unit variance."""
+    before_m: Float[np.ndarray, "n 3"]
+    """A point before each motion."""
+    after_m: Float[np.ndarray, "n 3"]
+    """The same after it."""
     p_tool_object_m: Float[np.ndarray, "3"]
+    """The calibrated place of the object, tool axes."""
     center_m: Float[np.ndarray, "3"]
+    """The place of the object in the first image, camera axes."""
+
+    @classmethod
+    def of(
+        cls, motions: Sequence[Motion], p_tool_object_m: Float[np.ndarray, "3"], center_m: Float[np.ndarray, "3"]
+    ) -> "_Evidence":
+        """That of motions."""
+        return cls(
+            tuple(motion.images for motion in motions),
+            np.stack([motion.R_after_before for motion in motions]),
+            np.stack([whitening(motion.covariance_rad2, _ROTATION_RAD) for motion in motions]),
+            np.stack([motion.before_m for motion in motions]),
+            np.stack([motion.after_m for motion in motions]),
+            p_tool_object_m,
+            center_m,
+        )
 
     def residuals(self, cell: Cell) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
         """Rotation (rad) and displacement (m) by the camera beyond the predicted ones."""
-        before = np.stack([motion.before_m for motion in self.motions])
-        R, after = predicted(cell, [motion.images for motion in self.motions], before)
-        seen = np.stack([motion.R_after_before for motion in self.motions])
-        return so3.log(seen @ np.swapaxes(R, 1, 2)), np.stack([motion.after_m for motion in self.motions]) - after
+        R, after_m = predicted(cell, self.images, self.before_m)
+        return so3.log(self.R @ np.swapaxes(R, 1, 2)), self.after_m - after_m
 
     def place_m(self, cell: Cell) -> Float[np.ndarray, "3"]:
         """The object's place beyond the calibrated one, measured camera coordinates."""
@@ -179,8 +201,7 @@ class _Evidence:
     def terms(self, cell: Cell) -> Float[np.ndarray, " m"]:
         """The residuals, in standard deviations per axis."""
         rotation, displacement = self.residuals(cell)
-        white = np.stack([whitening(motion.covariance_rad2, _ROTATION_RAD) for motion in self.motions])
-        terms = (np.einsum("nij,nj->ni", white, rotation), displacement / _POSITION_M)
+        terms = (np.einsum("nij,nj->ni", self.white, rotation), displacement / _POSITION_M)
         return np.asarray(np.concatenate([np.linalg.norm(each, axis=1) for each in terms]) / np.sqrt(3))
 
     def cost(self, cell: Cell) -> float:
@@ -250,7 +271,7 @@ def _moved(evidence: _Evidence, stated: Cell) -> Mistake:
         place = evidence.place_m(cell(x)) / (2 * _PLACE_M)
         return np.concatenate([rotation.ravel() / _ROTATION_RAD, displacement.ravel() / _POSITION_M, place])
 
-    x = least_squares(residuals, np.zeros(6), loss="soft_l1").x
+    x = least_squares(residuals, np.zeros(6), loss="soft_l1", max_nfev=20).x
     moved = cell(x)
     angle_deg = float(np.degrees(np.linalg.norm(x[:3])))
     shift_m = float(np.linalg.norm(se3.apply(moved.T_base_camera, np.zeros(3)) - start[:3, 3]))

@@ -37,7 +37,6 @@ class MistakenArm:
     def move_to(self, T_base_tool: Transform) -> Transform:
         """Move to a stated pose, and thus somewhere else."""
         self._arm.cell.T_base_tool = self._true(T_base_tool)
-        self._arm.cell.time_s += 0.1
         self._stated = np.array(T_base_tool)
         return self._stated
 
@@ -105,7 +104,8 @@ def _millimetres(cell: SimulatedCell, camera: CameraDriver, arm: ArmDriver, cali
         scaled = [partial(_scaled_position, factor=factor) for factor in (1000.0, 0.001)]
         return camera, MistakenArm(cell, *scaled), calibration
     if kind == 1:
-        return camera, arm, replace(calibration, p_tool_object_m=calibration.p_tool_object_m * 1000 % 15 + 2)
+        p_m = calibration.p_tool_object_m  # 10 mm read as 10 m; above 20 m the calibration itself is refused
+        return camera, arm, replace(calibration, p_tool_object_m=10 * p_m / np.linalg.norm(p_m))
     T = calibration.T_base_camera
     return camera, arm, replace(calibration, T_base_camera=se3.transform(T[:3, :3], T[:3, 3] / 1000))
 

@@ -30,7 +30,7 @@ class RobotLimits:
     """Highest x, y, z of the tool and of the held object, base axes."""
     max_step_deg: float = 30.0
     """Larger rotations are made in parts, so that the object stays in its place on the way."""
-    settle_s: float = 0.3
+    settle_s: float = 0.15
     """Pause between the end of a move and the next frame."""
     position_tolerance_m: float = 0.005
     """Largest distance of the reached pose from the commanded one. Not tuned."""
@@ -194,7 +194,8 @@ class FreshFrames:
                 return image
         raise StationError(
             f"stale frames: the last one was captured {self._stale_before_s - (image.stamp_s or 0):.2f} s before the "
-            "last move ended; expected a driver that returns the newest frame, with the time of its capture"
+            "last move ended; expected a driver that returns the newest frame with the time of its capture, and has "
+            "clock_s() if the clock of its stamps does not run in real time"
         )
 
     def capture(self) -> DepthImage:

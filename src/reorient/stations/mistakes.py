@@ -128,7 +128,9 @@ def predicted(
     cell: Cell, pairs: Sequence[tuple[int, int]], points_m: Float[np.ndarray, "n 3"]
 ) -> tuple[Float[np.ndarray, "n 3 3"], Float[np.ndarray, "n 3"]]:
     """The rotations, and the places of points after them, that the camera would measure between pairs of images."""
-    A = np.stack([cell.poses[j] @ se3.inverse(cell.poses[i]) for i, j in pairs])
+    before, after = np.array(pairs).T
+    poses = np.stack(cell.poses)
+    A = poses[after] @ np.linalg.inv(poses[before])
     M = se3.inverse(cell.T_base_camera) @ A @ cell.T_base_camera
     S, S_inverse = cell.stretch, np.linalg.inv(cell.stretch)
     u, _, vt = np.linalg.svd(S @ M[:, :3, :3] @ S_inverse)

@@ -48,7 +48,7 @@ point_m = [0.0, 0.0, 0.0]           # about where the object is held, in tool ax
 # box_low_m = [0.2, -0.4, 0.1]      # workspace: the tool and the object stay inside, base axes
 # box_high_m = [0.7, 0.4, 0.8]
 max_step_deg = 30.0                 # larger rotations are made in parts
-settle_s = 0.3                      # pause between the end of a move and the next frame
+settle_s = 0.15                     # pause between the end of a move and the next frame
 """
 
 
@@ -148,7 +148,9 @@ def _made(kind: type[Any], table: Mapping[str, Any], name: str, path: Path) -> A
     """A settings object of a table. Raises ReorientError for an unknown key and a value out of range."""
     source = f"[{name}] of {str(path)!r}"
     _refuse_unknown(table, [each.name for each in fields(kind)], source)
-    values = {key: tuple(value) if isinstance(value, list) else value for key, value in table.items()}
+    values: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in table.items()}
+    if isinstance(values.get("background"), str):
+        values["background"] = path.parent / values["background"]
     if "radius_m" in values and "around_m" not in values:
         raise ReorientError(
             f"{source} has a radius_m without around_m: expected the object's rough place in camera axes, metres, with "

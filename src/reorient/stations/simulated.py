@@ -4,6 +4,7 @@ The camera ray-casts the whole frame, with or without a table; the arm moves as 
 It is a cell to try ``robot.toml`` on without hardware, and the ground truth for calibration.
 """
 
+import time
 from functools import cache
 
 import numpy as np
@@ -20,7 +21,6 @@ from reorient.world.objects import generated
 from reorient.world.rendering import Placement, Renderer
 from reorient.world.sensing import Sensor, randomised, sense
 
-FRAME_S = 0.1  # simulated seconds of a capture or a move
 CAMERA = Camera(320, 240, 331.0, 331.0, 160.0, 120.0)
 HOME_M = np.array([0.45, 0.1, 0.4])  # of the held object in base axes
 _REACH_M = 0.9  # from the base to the tool
@@ -56,7 +56,6 @@ class SimulatedCell:
         self.T_base_tool = se3.transform(R_tool, HOME_M - R_tool @ self.T_tool_object[:3, 3])
         self.T_base_camera = _mounting(rng)
         self.repeatability = repeatability
-        self.time_s = 0.0
 
     @property
     def T_camera_object(self) -> Transform:
@@ -76,8 +75,7 @@ class SimulatedCell:
         if self.table:
             behind_m = self._table_m()
             depth_m = np.where((depth_m == 0) | ((behind_m > 0) & (behind_m < depth_m)), behind_m, depth_m)
-        self.time_s += FRAME_S
-        return DepthImage(depth_m, self.camera, self.time_s)
+        return DepthImage(depth_m, self.camera, time.monotonic())
 
     def _table_m(self) -> Float[np.ndarray, "height width"]:
         """Depth of the table, with noise."""
@@ -117,8 +115,8 @@ class SimulatedCamera:
         return self.cell.frame()
 
     def clock_s(self) -> float:
-        """Simulated seconds."""
-        return self.cell.time_s
+        """The host's clock: frames and moves take no time of their own."""
+        return time.monotonic()
 
 
 class SimulatedArm:
@@ -146,7 +144,6 @@ class SimulatedArm:
         self._commanded = np.array(T_base_tool)
         position, angle = self.cell.rng.standard_normal((2, 3)) * np.array(self.cell.repeatability)[:, None]
         self.cell.T_base_tool = self._commanded @ se3.transform(so3.exp(angle), position)
-        self.cell.time_s += FRAME_S
         return self.pose()
 
     def stop(self) -> None:
