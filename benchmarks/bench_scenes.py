@@ -131,7 +131,7 @@ FRAMES: dict[str, Options] = {
 
 
 def drawn(name: str, rng: Generator, source: Any, noise_m: float) -> Bench:
-    """A frame with at least 400 returns from the object."""
+    """A frame with at least 400 returns from the object, most of them of parts at least 5 pixels wide: no wires."""
     while True:
         mesh = lying(source.load(source.names[int(rng.integers(len(source.names)))]), rng, 0.11)
         if name.startswith("low"):
@@ -159,8 +159,10 @@ def drawn(name: str, rng: Generator, source: Any, noise_m: float) -> Bench:
             T = camera_towards_walls(rng, target_m)
         scene = Scene((mesh, *rest), T)
         frame, owner = scene.capture(rng, noise_m)
-        if np.count_nonzero((owner == 0) & frame.valid) >= 400:
-            return Bench(scene, rng, noise_m, frame, owner == 0)
+        seen = owner == 0
+        thick = ndimage.binary_opening(seen, np.ones((5, 5)))
+        if np.count_nonzero(seen & frame.valid) >= 400 and np.count_nonzero(thick) > 0.8 * np.count_nonzero(seen):
+            return Bench(scene, rng, noise_m, frame, seen)
 
 
 def camera_towards_walls(rng: Generator, target_m: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:

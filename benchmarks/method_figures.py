@@ -284,7 +284,7 @@ def _searched() -> list[tuple[Problem, Hypotheses, Float[np.ndarray, " k"], Floa
     for index in range(40):
         pair = _pair(index, index, 0, 180)
         problem = build_problem(pair.current, pair.goal, pair.pivot_m)
-        hypotheses = search(problem, EFFORTS["normal"])
+        hypotheses = search(problem, EFFORTS["normal"]).hypotheses
         found.append((problem, hypotheses, _errors_deg(index, pair, hypotheses), _log_odds(problem, hypotheses), pair))
     return found
 

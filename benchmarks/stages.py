@@ -109,7 +109,7 @@ def ablate(
             if variant.effort not in sets:
                 begin = time.process_time()
                 problem = build_problem(pair.current, pair.goal, pivot_m)
-                hypotheses = search(problem, variant.effort)
+                hypotheses = search(problem, variant.effort).hypotheses
                 hypotheses = hypotheses[np.argsort(-problem.score(hypotheses, *SCORED), kind="stable")]
                 sets[variant.effort] = problem, hypotheses, time.process_time() - begin
             problem, hypotheses, seconds = sets[variant.effort]

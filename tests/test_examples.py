@@ -38,7 +38,7 @@ def test_my_station_rotates_its_object_to_the_goal(capsys, tmp_path, monkeypatch
             return rotations[-1]
 
     monkeypatch.setattr("examples.my_station.TurntableStation", Watched)
-    main(["orient", str(goal), "--station", "examples.my_station:TurntableStation"])  # a failure is SystemExit
+    main(["orient", str(goal), "--station", "examples.my_station:TurntableStation", "--yes"])  # a failure is SystemExit
     assert f"converged after {len(rotations)} moves" in capsys.readouterr().out
     assert len(rotations) >= 3
     rotvec_deg = np.degrees(so3.log(functools.reduce(lambda done, R: R @ done, rotations, np.eye(3))))

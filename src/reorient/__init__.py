@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from reorient.errors import ReorientError, StationError
     from reorient.estimators import load_estimator
     from reorient.estimators.base import Estimator, RotationEstimate
-    from reorient.imaging import Camera, DepthImage, Isolation
+    from reorient.imaging import Camera, DepthImage, Isolation, isolate
     from reorient.perception.robot_calibration import RobotCalibration
     from reorient.stations.calibrating import calibrate
     from reorient.stations.guarded import RobotLimits
@@ -39,6 +39,7 @@ __all__ = [
     "StationError",
     "Step",
     "calibrate",
+    "isolate",
     "load_estimator",
     "load_strategy",
     "orient",
@@ -49,7 +50,7 @@ _MODULES = {
     "errors": ("ReorientError", "StationError"),
     "estimators": ("load_estimator",),
     "estimators.base": ("Estimator", "RotationEstimate"),
-    "imaging": ("Camera", "DepthImage", "Isolation"),
+    "imaging": ("Camera", "DepthImage", "Isolation", "isolate"),
     "perception.robot_calibration": ("RobotCalibration",),
     "stations.calibrating": ("calibrate",),
     "stations.guarded": ("RobotLimits",),

@@ -11,6 +11,10 @@ class StationError(ReorientError):
     """A camera or a robot failed: no frame, a refused move."""
 
 
+class ProtocolError(ReorientError):
+    """A station or an estimator of the user's own returned something other than its protocol requires."""
+
+
 class OutOfRange(ReorientError):
     """A field of settings with a value outside its range. The command line replaces the field's name by its option."""
 

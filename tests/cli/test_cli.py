@@ -192,7 +192,18 @@ def test_capture_and_orient(capsys, tmp_path):
     main(["capture", str(goal)])
     assert read_depth(goal).camera == WORLD.camera
     capsys.readouterr()
-    one = ["orient", goal, "--strategy", "algorithm1", "--estimator", "gicp", "--start-deg", 12]
+    one = [
+        "orient",
+        goal,
+        "--station",
+        "rendered",
+        "--strategy",
+        "algorithm1",
+        "--estimator",
+        "gicp",
+        "--start-deg",
+        12,
+    ]
     code, out, _ = ended(capsys, *one, "--eta", "0.5", "--out", tmp_path / "run")
     assert code == 0
     lines = out.splitlines()
@@ -203,14 +214,14 @@ def test_capture_and_orient(capsys, tmp_path):
     code, out, err = ended(capsys, *one, "--max-images", 1)
     assert code == 1
     assert err.startswith("reorient: not converged after 1 move (max_images): ")
-    assert "did you mean 'fusing'" in refused(capsys, "orient", goal, "--strategy", "fusin")
+    assert "did you mean 'fusing'" in refused(capsys, "orient", goal, "--station", "rendered", "--strategy", "fusin")
 
 
 def test_orient_with_limits_a_record_and_its_replay(capsys, tmp_path, monkeypatch):
     goal, record = tmp_path / "goal.npz", tmp_path / "record"
     main(["capture", str(goal)])
     capsys.readouterr()
-    rotated = ["orient", goal, "--start-deg", 100, "--noise-mm", 1, "--estimator", "fast"]
+    rotated = ["orient", goal, "--station", "rendered", "--start-deg", 100, "--noise-mm", 1, "--estimator", "fast"]
     dry = ended(capsys, *rotated, "--dry-run", "--record", tmp_path / "dry")
     assert dry[0] == 0
     assert re.match(r"dry run: would rotate by [\d.]+ deg \(rotation vector \[.*\] deg, ", dry[1].splitlines()[-1])
@@ -284,7 +295,7 @@ def test_the_strategy_follows_the_confidence(capsys, tmp_path, monkeypatch):
     )
     monkeypatch.chdir(tmp_path)
     main(["capture", "goal.npz"])
-    one = ["orient", "goal.npz", "--start-deg", "12", "--dry-run", "--estimator"]
+    one = ["orient", "goal.npz", "--station", "rendered", "--start-deg", "12", "--dry-run", "--estimator"]
     for more, angle_deg in (
         (["my_estimators:Plain"], 2.4),
         (["my_estimators:Sure"], 12),
@@ -300,7 +311,7 @@ def test_the_strategy_follows_the_confidence(capsys, tmp_path, monkeypatch):
 
 def test_nothing_is_left_behind_where_the_estimator_is_unknown(capsys, tmp_path):
     main(["capture", str(tmp_path / "goal.npz")])
-    one = ["orient", tmp_path / "goal.npz", "--record", tmp_path / "record"]
+    one = ["orient", tmp_path / "goal.npz", "--station", "rendered", "--record", tmp_path / "record"]
     assert "did you mean 'gicp'" in refused(capsys, *one, "--estimator", "gipc")
     (tmp_path / "file").write_text("")
     assert "cannot make folder" in refused(capsys, *one, "--out", tmp_path / "file")
@@ -317,11 +328,15 @@ def test_a_failed_capture_leaves_the_old_goal(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     goal = tmp_path / "goal.npz"
     goal.write_bytes(b"old")
-    assert "failed to capture (OSError: no camera)" in refused(capsys, "capture", goal, "--station", "broken_cell:Cell")
+    assert "failed to capture: OSError: no camera [broken_cell.py, line 4]" in refused(
+        capsys, "capture", goal, "--station", "broken_cell:Cell"
+    )
     assert goal.read_bytes() == b"old"
     assert list(tmp_path.glob(".*goal*")) == []
     assert "has no capture, rotate" in refused(capsys, "capture", goal, "--station", "broken_cell:Half")
-    assert "(OSError: no camera on bus 3)" in refused(capsys, "capture", goal, "--station", "broken_cell:Wordy")
+    assert "(OSError: no camera on bus 3 [broken_cell.py, line 11])" in refused(
+        capsys, "capture", goal, "--station", "broken_cell:Wordy"
+    )
     assert "cannot make station" in refused(capsys, "capture", goal, "--station", "nowhere:Cell")
     assert "expected 'rendered' or my_module:MyStation" in refused(capsys, "capture", goal, "--station", "rendred")
     assert "expected an existing folder" in refused(capsys, "capture", tmp_path / "none" / "goal.npz")
@@ -422,7 +437,10 @@ def test_options_and_files_that_do_not_fit(command, message, capsys):
     [
         ("ball.npz --near 1 --far 0.5", "--near 1 --far 0.5: expected --near below --far"),
         ("none.npz --near 1 --far 0.5", "--near 1 --far 0.5: expected --near below --far"),  # before reading
-        ("ball.npz --near 0.7 --far 0.9", "ball.npz: no returns in the depth range: depths are 0.60-0.60 m; --near is 0.7, --far is 0.9"),
+        (
+            "ball.npz --near 0.7 --far 0.9",
+            "ball.npz: no returns in the depth range: depths are 0.60-0.60 m; --near is 0.7, --far is 0.9",
+        ),
         ("ball.npz --near 5", "ball.npz: no returns in the depth range: depths are 0.60-0.60 m; --near is 5"),
         ("ball.npz --near nan", "--near nan: expected metres from 0, or '-' for none"),
         (". --near 0.3", "'.' is a folder: expected a file"),

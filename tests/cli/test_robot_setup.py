@@ -69,7 +69,7 @@ def test_from_a_new_file_to_a_converged_loop(tmp_path, monkeypatch, capsys):
 
     assert run(capsys, "capture", "goal.npz", "--station", "robot.toml")[0] == 0
     Path("robot.toml").write_text(text.replace(':MyArm"', ':MyArm"\nstart_deg = 25.0'))
-    code, out = run(capsys, "orient", "goal.npz", "--station", "robot.toml", "--estimator", "gicp")
+    code, out = run(capsys, "orient", "goal.npz", "--station", "robot.toml", "--estimator", "gicp", "--yes")
     assert code == 0, out
     assert "converged" in out
 

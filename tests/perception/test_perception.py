@@ -216,6 +216,25 @@ def test_the_object_alone_is_left_in_metres_and_in_its_own_camera():
     np.testing.assert_allclose(image.points().max(axis=0), expected.max(axis=0), atol=0.003)
 
 
+def test_the_gripper_and_lost_returns_are_unknown_and_the_table_is_not():
+    frame, truth = take()
+    _, _, owner = look(TRUE.depth, [TABLE, GRIPPER, OBJECT], [BROWN, GREY, GREEN])
+    rows, columns = np.nonzero(truth)
+    lost = np.zeros_like(truth)
+    lost[int(np.median(rows)) - 3 :][:6, columns.max() - 6 : columns.max() + 4] = True  # a dark patch and a shadow
+
+    def shown(mask, image):  # through the window of the isolated image
+        scene = replace(frame.depth, depth_m=np.where(mask, 0.6, 0.5).astype(np.float32))
+        left, top = scene.camera.cx - 2 * image.camera.cx, scene.camera.cy - 2 * image.camera.cy
+        return scene.cropped(round(left), round(top), 256, 256).resized(128, 128).depth_m > 0.55
+
+    for segmentation in both_ways():
+        image = isolate_object(without(frame, lost), TRUE, segmentation)
+        assert image.unknown[shown((owner == 1) & ~lost, image)].mean() > 0.9
+        assert image.unknown[shown(lost, image)].all()
+        assert image.unknown[shown((owner == 0) & ~lost, image)].mean() < 0.05
+
+
 def test_a_crop_is_centred_and_grows_with_the_object():
     camera = Camera(600, 500, 560.0, 560.0, 300.0, 250.0)
     for width, side in ((80, 256), (400, 442)):

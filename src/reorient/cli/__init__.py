@@ -7,15 +7,18 @@ from reorient import __version__
 from reorient.cli.arguments import parse
 from reorient.cli.verbs import VERBS, find, overview
 from reorient.errors import ReorientError
+from reorient.plugins import LOGGER, tracebacks_shown
 
 USAGE = """usage: reorient VERB [arguments] [options]
 
 Rotate an object that was never seen before until it matches a depth image.
 """
+TRACEBACK = "--traceback"  # of all verbs
 END = """
 options:
   -h, --help       Show this help, or that of a verb, and exit.
   --version        Show the version and exit.
+  --traceback      With any verb: show where an error arose.
 
 exit codes:
   0 success, 1 the loop did not converge, 2 bad input or a failed device, 130 interrupted"""
@@ -23,12 +26,19 @@ exit codes:
 
 def main(arguments: list[str] | None = None) -> None:
     """Parse and run. Returns after success, else raises SystemExit with the codes that ``reorient --help`` lists."""
+    words = sys.argv[1:] if arguments is None else arguments
+    with tracebacks_shown(TRACEBACK in words):
+        _main([word for word in words if word != TRACEBACK])
+
+
+def _main(words: list[str]) -> None:
     try:
         try:
-            code = _run(sys.argv[1:] if arguments is None else arguments)
+            code = _run(words)
         finally:
             sys.stdout.flush()  # here, as a closed pipe cannot be caught when the interpreter ends
     except ReorientError as error:
+        LOGGER.debug("the traceback of the error:", exc_info=error)
         print("reorient:", *map(str.strip, str(error).splitlines()), file=sys.stderr)  # user code may raise several
         sys.exit(2)
     except BrokenPipeError:  # the reader of the output has enough (reorient ... | head)

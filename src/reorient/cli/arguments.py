@@ -94,6 +94,7 @@ def make_parser(config: type, program: str) -> argparse.ArgumentParser:
             title = title[0].lower() + title[1:]
             groups[option.group] = parser.add_argument_group(title, _plain(" ".join(description.split())) or None)
         option.add_to(positionals if option.positional else groups[option.group])
+    options.add_argument("--traceback", action="store_true", help="Show where an error arose.")
     options.add_argument("-h", "--help", action="help", help="Show this help and exit.")
     return parser
 
@@ -173,10 +174,8 @@ class _Option:
     @property
     def help(self) -> str:
         """The text below the field, and the default."""
-        text = _plain(self.text)
-        if self.default is MISSING or self.default is None or self.default is False or self.default == ():
-            return text
-        return f"{text} (default: {_in_words(self.default)})"
+        silent = self.default is MISSING or self.default is None or self.default is False or self.default == ()
+        return _plain(self.text) + ("" if silent else f" (default: {_in_words(self.default)})")
 
 
 def _options(config: type, start: Any = None) -> Iterator[_Option]:

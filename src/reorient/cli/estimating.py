@@ -12,6 +12,7 @@ from reorient import so3
 from reorient.cli.arguments import Metavar, Positional
 from reorient.cli.isolating import Frames
 from reorient.formatting import format_number, format_probability, format_share
+from reorient.plugins import in_one_line
 
 if TYPE_CHECKING:
     from reorient.estimators.base import RotationEstimate
@@ -62,7 +63,8 @@ class Estimate:
         inputs = self.frames.read_pair(self.current, self.goal, self.show_input)
         current, goal = (each.isolated for each in inputs)
         pivot_m = None if self.pivot is None else np.array(self.pivot)
-        estimate = as_estimate(estimator.estimate(current, goal, pivot_m), current, goal)
+        with in_one_line("the estimator failed"):
+            estimate = as_estimate(estimator.estimate(current, goal, pivot_m), current, goal)
         if self.explain is not None:
             from reorient.reporting.explaining import picture
             from reorient.runs.files import replacing

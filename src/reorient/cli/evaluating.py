@@ -1,5 +1,6 @@
 """The verbs of measuring: evaluate, report."""
 
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -35,6 +36,12 @@ class Evaluate:
         with replacing(self.out / "table.md") as temporary:
             temporary.write_text(markdown_table(rows))
         print_tables(rows, table_console())
+        if failed := [row for row in rows if row["message"]]:
+            print(
+                f"{len(failed)} of {len(rows)} estimates failed and count as no rotation, the first by "
+                f"{failed[0]['estimator']}: {failed[0]['message']}",
+                file=sys.stderr,
+            )
         print(self.out / "rows.csv.gz")
 
 

@@ -26,20 +26,12 @@ class Input:
 
 
 @dataclass(frozen=True)
-class Frames:
-    """Reading and isolation of the images.
+class IsolationOptions:
+    """Isolation of the images of the station, which are used as they are without these options.
 
-    One value is for both images, two are for CURRENT and GOAL. For --camera, --mask, --background, --near and --far the
-    value '-' is none: "--near 0.3 -" limits CURRENT. The isolation options combine; the largest cluster of what they
-    leave is the object.
+    The isolation options combine; the largest cluster of what they leave is the object.
     """
 
-    camera: Annotated[tuple[str, ...], Metavar("PATH")] = ()
-    """Intrinsics as JSON of reorient, Open3D or RealSense, not needed where the image file has its camera."""
-    depth_scale: Annotated[tuple[float, ...], Metavar("M")] = ()
-    """Metres per unit of integer depth, by default the value in the file, else 0.001."""
-    mask: Annotated[tuple[str, ...], Metavar("PATH")] = ()
-    """Image or .npy array that is not zero on the object, or a cut-out whose transparent pixels are not the object."""
     box: Annotated[tuple[int, ...], Metavar("PX")] = ()
     """Left, top, width and height of the box that holds the object: four numbers, or eight for two boxes."""
     box_xyxy: Annotated[tuple[int, ...], Metavar("PX")] = ()
@@ -57,6 +49,54 @@ class Frames:
     allow_touching: bool = False
     """Accept an object that continues beyond the box, range or sphere, lies in a plane that continues, or is in two."""
 
+    def isolation(self, goal: bool = False) -> "Isolation":
+        """The options of one image; the background as a file, without its camera."""
+        from reorient.imaging import Isolation
+
+        near_m, far_m = _metres(self.near, goal, "--near"), _metres(self.far, goal, "--far")
+        if near_m is not None and far_m is not None and near_m >= far_m:
+            raise ReorientError(f"--near {near_m:g} --far {far_m:g}: expected --near below --far")
+        background = _each(self.background, goal, "--background")
+        around = _four(self.around, goal, "--around", "x y z radius in metres")
+        return Isolation(
+            box_px=self._box(goal),
+            near_m=near_m,
+            far_m=far_m,
+            around_m=around and around[:3],
+            radius_m=around and around[3],
+            remove_plane=self.remove_plane,
+            background=None if background in (None, "-") else background,
+            allow_touching=self.allow_touching,
+        )
+
+    def _box(self, goal: bool) -> tuple[int, int, int, int] | None:
+        if self.box and self.box_xyxy:
+            raise ReorientError("--box with --box-xyxy: expected one of them")
+        corners = _four(self.box_xyxy, goal, "--box-xyxy", "left top right bottom")
+        if corners is None:
+            return _four(self.box, goal, "--box", "left top width height")
+        left, top, right, bottom = corners
+        if right <= left or bottom <= top:
+            raise ReorientError(f"--box-xyxy {left} {top} {right} {bottom}: expected left < right and top < bottom")
+        return left, top, right - left, bottom - top
+
+
+@dataclass(frozen=True)
+class Frames(IsolationOptions):
+    """Reading and isolation of the images.
+
+    One value is for both images, two are for CURRENT and GOAL. For --camera, --mask, --background, --near and --far the
+    value '-' is none: "--near 0.3 -" limits CURRENT. The isolation options combine; the largest cluster of what they
+    leave is the object.
+    """
+
+    camera: Annotated[tuple[str, ...], Metavar("PATH")] = ()
+    """Intrinsics as JSON of reorient, Open3D or RealSense, not needed where the image file has its camera."""
+    depth_scale: Annotated[tuple[float, ...], Metavar("M")] = ()
+    """Metres per unit of integer depth, by default the value in the file, else 0.001."""
+    mask: Annotated[tuple[str, ...], Metavar("PATH")] = ()
+    """Image or .npy array that is not zero on the object, or a cut-out whose transparent pixels are not the object."""
+
     def read(self, path: Path, *, goal: bool, show: Path | None = None) -> Input:
         """The frame, raw and isolated; ``goal``: by the options for GOAL, not those for CURRENT.
 
@@ -65,11 +105,10 @@ class Frames:
         from reorient.imaging.files import read_depth, read_mask
 
         name, camera_file = "goal" if goal else "current", _each(self.camera, goal, "--camera")
-        isolation, scale_m = self._isolation(goal), _each(self.depth_scale, goal, "--depth-scale")
+        isolation, scale_m = self.isolation(goal), _each(self.depth_scale, goal, "--depth-scale")
         raw = read_depth(path, self._camera(camera_file), scale_m)
-        background = _each(self.background, goal, "--background")
-        if background not in (None, "-"):
-            isolation = replace(isolation, background=read_depth(background, raw.camera, scale_m))
+        if isinstance(isolation.background, str):
+            isolation = replace(isolation, background=read_depth(isolation.background, raw.camera, scale_m))
         mask = _each(self.mask, goal, "--mask")
         mask_array = None if mask in (None, "-") else read_mask(mask)
         try:
@@ -86,35 +125,6 @@ class Frames:
             _show(inputs, show)
         return inputs
 
-    def _isolation(self, goal: bool) -> "Isolation":
-        """The options of one image, without the background."""
-        from reorient.imaging import Isolation
-
-        near_m, far_m = _metres(self.near, goal, "--near"), _metres(self.far, goal, "--far")
-        if near_m is not None and far_m is not None and near_m >= far_m:
-            raise ReorientError(f"--near {near_m:g} --far {far_m:g}: expected --near below --far")
-        around = _four(self.around, goal, "--around", "x y z radius in metres")
-        return Isolation(
-            box_px=self._box(goal),
-            near_m=near_m,
-            far_m=far_m,
-            around_m=around and around[:3],
-            radius_m=around and around[3],
-            remove_plane=self.remove_plane,
-            allow_touching=self.allow_touching,
-        )
-
-    def _box(self, goal: bool) -> tuple[int, int, int, int] | None:
-        if self.box and self.box_xyxy:
-            raise ReorientError("--box with --box-xyxy: expected one of them")
-        corners = _four(self.box_xyxy, goal, "--box-xyxy", "left top right bottom")
-        if corners is None:
-            return _four(self.box, goal, "--box", "left top width height")
-        left, top, right, bottom = corners
-        if right <= left or bottom <= top:
-            raise ReorientError(f"--box-xyxy {left} {top} {right} {bottom}: expected left < right and top < bottom")
-        return left, top, right - left, bottom - top
-
     def _camera(self, file: str | None) -> "Camera | None":
         from reorient.imaging.files import read_camera
 
@@ -125,7 +135,7 @@ class Frames:
 class GoalFrame(Frames):
     """Reading and isolation of GOAL.
 
-    The images of the station are used as they are.
+    The images of the station are used as they are without --isolate-station.
     """
 
 

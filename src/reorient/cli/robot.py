@@ -1,7 +1,8 @@
 """The verbs of the closed loop: orient, replay."""
 
+import shutil
 import sys
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,8 +18,10 @@ from reorient.runs.files import make_folder
 
 if TYPE_CHECKING:
     from reorient.controller import Limits, OrientResult, Step, Strategy
+    from reorient.stations.replay import ReplayedStation
 
 EXIT_CODES = {"converged": 0, "dry_run": 0, "interrupted": 130}  # of the other statuses: 1
+OWN_STEP_DEG, OWN_ROTATION_DEG = 45.0, 720.0  # limits for a station of the user's own
 _OWNERS = {"eta": ("algorithm1",), "delta_deg": ("algorithm1", "direct")}  # options that not every strategy has
 
 
@@ -66,29 +69,48 @@ class StrategyChoice:
 class LimitChoice:
     """Limits of the moves."""
 
-    max_step_deg: float = 180.0
-    """Largest angle of one move, above which it is made in parts."""
+    max_step_deg: float | None = None
+    """Largest angle of one move, above which it is made in parts, by default 45 for a station of your own and else
+    180."""
     max_rotation_deg: float | None = None
-    """Largest sum of the angles of all moves, by default unlimited."""
+    """Largest sum of the angles of all moves, by default 720 for a station of your own and else unlimited."""
     dry_run: bool = False
     """Capture, estimate and print the first move, but move nothing."""
     confirm_first_move: bool = False
-    """Ask at the terminal before the first move."""
+    """Ask at the terminal before the first move, as it is done for a station of your own anyway."""
+    yes: bool = False
+    """Make the first move without asking."""
+    timeout_s: float | None = None
+    """Longest time of a capture or a move, after which the loop ends and the robot is stopped, by default unlimited."""
 
     def __post_init__(self) -> None:
         """Raises ReorientError for values out of range."""
-        check_range(self, "max_step_deg", "max_rotation_deg", above=True)
+        check_range(self, "max_step_deg", "max_rotation_deg", "timeout_s", above=True)
+        if self.yes and self.confirm_first_move:
+            raise ReorientError("--yes and --confirm-first-move contradict each other: expected one of them")
+
+    def of(self, own: bool) -> "LimitChoice":
+        """The choice with its defaults for the user's own station, or for any other."""
+        if not own:
+            return self
+        return replace(
+            self,
+            max_step_deg=OWN_STEP_DEG if self.max_step_deg is None else self.max_step_deg,
+            max_rotation_deg=OWN_ROTATION_DEG if self.max_rotation_deg is None else self.max_rotation_deg,
+            confirm_first_move=not self.yes,
+        )
 
     def limits(self, wait_s: float = 0.5) -> "Limits":
         """The limits of the loop."""
         from reorient.controller import Limits
 
         return Limits(
-            max_step_rad=np.radians(self.max_step_deg),
+            max_step_rad=np.radians(180.0 if self.max_step_deg is None else self.max_step_deg),
             max_rotation_rad=np.inf if self.max_rotation_deg is None else np.radians(self.max_rotation_deg),
             confirm=_confirmed if self.confirm_first_move else None,
             dry_run=self.dry_run,
             wait_s=wait_s,
+            timeout_s=np.inf if self.timeout_s is None else self.timeout_s,
         )
 
 
@@ -97,15 +119,18 @@ class Orient:
     """Rotate the object at a station until it matches the goal image.
 
     The exit code is 0 where the loop converged, also after --dry-run, and 1 where it did not converge.
+    At a station of your own the first move is printed and must be confirmed (--yes does not ask).
 
     Examples:
-        reorient capture goal.npz && reorient orient goal.npz --start-deg 30
-        reorient orient goal.npz --station my_cell:MyStation --confirm-first-move --record record --out run
+        reorient capture goal.npz && reorient orient goal.npz --station rendered --start-deg 30
+        reorient orient goal.npz --station my_cell:MyStation --record record --out run
     """
 
     goal: Positional[Path]
     """Depth image of the object as it should be, as written by ``reorient capture``."""
     frames: GoalFrame = field(default_factory=GoalFrame)
+    isolate_station: bool = False
+    """Isolate the images of the station by the same options, by the first of two values."""
     choice: StationChoice = field(default_factory=StationChoice)
     estimator: str = "rotation-search"
     """One of default (rotation-search), rotation-search, fast, thorough, gicp, icp, paper and swift, an .onnx file,
@@ -121,23 +146,31 @@ class Orient:
         """Close the loop; the exit code."""
         from reorient.estimators import load_estimator
         from reorient.runs.provenance import commit
+        from reorient.stations.isolated import IsolatedStation
         from reorient.stations.replay import RecordingStation
 
-        strategy, limits = self.strategy_choice.load(), self.limit_choice.limits()
+        chosen = self.limit_choice.of(self.choice.own)
+        strategy, limits = self.strategy_choice.load(), chosen.limits()
+        self.choice.check()
         goal, estimator = self.frames.read(self.goal, goal=True).isolated, load_estimator(self.estimator)
         if self.out is not None:
             make_folder(self.out)
         station = self.choice.open()
+        if self.isolate_station:
+            station = IsolatedStation(station, self.frames.isolation())
         if self.record is not None:
+            weights = Path(self.estimator) if self.estimator.endswith(".onnx") else None
             about = {
-                "estimator": self.estimator,
+                "estimator": weights.name if weights else self.estimator,
                 "strategy": asdict(self.strategy_choice),
-                "limits": asdict(self.limit_choice) | {"confirm_first_move": False},
+                "limits": asdict(chosen) | {"confirm_first_move": False, "timeout_s": None},
                 "station": self.choice.station,
                 "version": __version__,
                 "commit": commit(),
             }
             station = RecordingStation(station, self.record, goal, about)
+            if weights:
+                shutil.copy(weights, self.record)
         return _close_loop(station, goal, estimator, strategy, limits, self.out, f"Station {self.choice.station}")
 
 
@@ -145,14 +178,18 @@ class Orient:
 class Replay:
     """Run a recorded loop again, without its station.
 
-    The images and the answers of the station are those of the recording; estimates and decisions are made anew.
+    The images and the answers of the station are those of the recording; estimates and decisions are made anew. A
+    record runs no code: name a class of your own by --estimator.
 
     Examples:
-        reorient orient goal.npz --start-deg 120 --record record && reorient replay record
+        reorient orient goal.npz --station rendered --start-deg 120 --record record && reorient replay record
+        reorient replay record --estimator my_estimators:Mine
     """
 
     record: Positional[Path]
     """Folder that ``reorient orient --record`` wrote."""
+    estimator: str | None = None
+    """Estimator in place of the recorded one, as for ``orient``."""
     out: Path | None = None
     """Folder for a page and a GIF of the run."""
 
@@ -163,7 +200,7 @@ class Replay:
 
         station = ReplayedStation(self.record)
         try:
-            estimator_name = str(station.record["estimator"])
+            estimator_name = self.estimator or self._recorded_estimator(station)
             strategy = StrategyChoice(**station.record["strategy"]).load()
             limits = LimitChoice(**station.record["limits"]).limits(wait_s=0.0)
         except (KeyError, TypeError, ValueError) as error:
@@ -174,6 +211,18 @@ class Replay:
         if self.out is not None:
             make_folder(self.out)
         return _close_loop(station, station.goal(), estimator, strategy, limits, self.out, f"Record {self.record.name}")
+
+    def _recorded_estimator(self, station: "ReplayedStation") -> str:
+        """The estimator that the record names: of the package, or weights within the record."""
+        name = str(station.record["estimator"])
+        if name.endswith(".onnx"):
+            return str(station.file(name))
+        if ":" in name:
+            raise ReorientError(
+                f"{str(self.record)!r} names the estimator {name!r}, but a record runs no code: expected --estimator "
+                f"{name} to use that class"
+            )
+        return name
 
 
 def print_outcome(result: "OrientResult") -> int:
@@ -192,7 +241,7 @@ def print_outcome(result: "OrientResult") -> int:
 
 
 def _confirmed(R_step: np.ndarray) -> bool:
-    """Ask at the terminal; no answer is a no."""
+    """Ask at the terminal, below the reason for the move; no answer is a no."""
     from reorient import so3
 
     rotvec = np.degrees(so3.log(R_step))
@@ -203,7 +252,19 @@ def _confirmed(R_step: np.ndarray) -> bool:
     try:
         return input().strip().lower() in ("y", "yes")
     except EOFError:
+        print("no answer: --yes moves without asking", file=sys.stderr)
         return False
+
+
+class _Printer:
+    """A subscriber that prints each decision before the move is made."""
+
+    def decided(self, step: "Step") -> None:
+        """Print the decision."""
+        print(f"[{step.index + 1}] {step.message}", flush=True)
+
+    def __call__(self, step: "Step") -> None:
+        """Nothing: errors are printed at the end."""
 
 
 def _close_loop(
@@ -214,10 +275,7 @@ def _close_loop(
     from reorient.reporting import write_loop
     from reorient.stations.replay import RecordingStation
 
-    def show(step: "Step") -> None:
-        print(f"[{step.index + 1}] {step.message}", flush=True)
-
-    result = orient(station, goal, estimator, strategy, limits=limits, subscribers=[show])
+    result = orient(station, goal, estimator, strategy, limits=limits, subscribers=[_Printer()])
     if isinstance(station, RecordingStation):
         station.finish(result)
     code = print_outcome(result)

@@ -1,13 +1,15 @@
 """The verb capture, and the choice of a station."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
 from reorient.cli.arguments import Metavar, Positional
+from reorient.cli.isolating import IsolationOptions
 from reorient.errors import ReorientError, check_range
+from reorient.plugins import in_one_line
 
 if TYPE_CHECKING:
     from reorient.controller.station import Station
@@ -17,9 +19,9 @@ if TYPE_CHECKING:
 class StationChoice:
     """Choice of the station."""
 
-    station: Annotated[str, Metavar("STATION")] = "rendered"
-    """A robot.toml, a class of your own as module:Class, importable from here and made without arguments, or 'rendered'
-    for a simulated station."""
+    station: Annotated[str | None, Metavar("STATION")] = None
+    """A robot.toml, or a class of your own as module:Class, importable from here and made without arguments, or
+    'rendered' for the simulator."""
     object_index: int = 0
     """Number of the generated object at the simulated station."""
     pose_seed: int = 0
@@ -34,19 +36,31 @@ class StationChoice:
         check_range(self, "object_index", "pose_seed", "noise_mm")
         check_range(self, "start_deg", high=180)
 
+    @property
+    def own(self) -> bool:
+        """Whether it is a class of the user's own, not the simulator."""
+        return self.station != "rendered"
+
     def open(self) -> "Station":
-        """The station, ready. Raises ReorientError where it cannot be made."""
+        """The station, ready. Raises ReorientError where it cannot be made, or none is named."""
         from reorient.stations import load_station
 
-        if self.station == "rendered":
-            return self._rendered()
-        if self.station.endswith(".toml"):
+        name = self.check()
+        if name.endswith(".toml"):
             from reorient.stations.robot_file import read_robot_file
 
-            return read_robot_file(self.station).open_station()
-        if ":" not in self.station:
+            return read_robot_file(name).open_station()
+        return load_station(name) if self.own else self._rendered()
+
+    def check(self) -> str:
+        """The name of the station. Raises ReorientError for none, or a wrong one."""
+        if self.station is None:
+            raise ReorientError(
+                "--station is missing: expected a robot.toml, my_module:MyStation, or 'rendered' for the simulator"
+            )
+        if self.own and ":" not in self.station and not self.station.endswith(".toml"):
             raise ReorientError(f"station {self.station!r}: expected 'rendered', a robot.toml or my_module:MyStation")
-        return load_station(self.station)
+        return self.station
 
     def _rendered(self) -> "Station":
         from reorient.stations.rendered import RenderedStation
@@ -75,23 +89,26 @@ class Capture:
 
     Examples:
         reorient capture goal.npz --station my_cell:MyStation
+        reorient capture goal.npz --station my_cell:RawCamera --around 0 0 0.5 0.15 --remove-plane
     """
 
     out: Annotated[Positional[Path], Metavar("GOAL")]
     """File to write: .npz, .tif, or .png with steps of 0.1 mm. Each also holds the camera."""
     choice: StationChoice = field(default_factory=StationChoice)
+    isolation: IsolationOptions = field(default_factory=IsolationOptions)
 
     def run(self) -> None:
-        """Capture and write."""
+        """Capture, isolate and write."""
         from reorient.controller.station import captured
+        from reorient.imaging import Isolation
         from reorient.imaging.files import write_depth
 
-        station: Any = self.choice.open()
-        try:  # a simulated gripper can be left out of the goal image
+        isolation = self.isolation.isolation()
+        station: Any = replace(self.choice, station=self.choice.station or "rendered").open()
+        with in_one_line("the station failed to capture"):
+            # a simulated gripper can be left out of the goal image
             image = captured(station.capture_goal() if hasattr(station, "capture_goal") else station.capture())
-        except ReorientError:
-            raise
-        except Exception as error:
-            raise ReorientError(f"the station failed to capture ({type(error).__name__}: {error})") from error
+        if isolation != Isolation():
+            image = isolation(image)
         write_depth(self.out, image, scale_m=0.0001)
-        print(self.out)
+        print(self.out if self.choice.station else f"{self.out} (simulated: no --station was given)")

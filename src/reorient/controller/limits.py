@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
+from itertools import repeat
 
 import numpy as np
 from jaxtyping import Float
@@ -11,6 +12,7 @@ from reorient import so3
 from reorient.controller.base import Reachable
 from reorient.errors import ReorientError
 
+_LEAST_STEP_RAD = float(np.radians(0.01))  # with smaller ones a move would never end
 _TRIED = 300  # rotations around one that cannot be reached
 
 
@@ -23,11 +25,15 @@ class Limits:
     max_rotation_rad: float = float("inf")
     """The loop ends before the angles of all moves add up to more."""
     confirm: Callable[[Float[np.ndarray, "3 3"]], bool] | None = None
-    """Called with the first move (camera axes, left); the loop ends where it returns False."""
+    """Called with the first move (camera axes, left), after the subscribers' ``decided``; the loop ends where it
+    returns False."""
     dry_run: bool = False
     """Capture, estimate and decide once; move nothing."""
     wait_s: float = 0.5
     """Pause after an error of station or estimator."""
+    timeout_s: float = float("inf")
+    """The loop ends, and the robot is stopped, where a call of the station takes longer. If finite, the station is
+    called from one thread of its own."""
 
     def __post_init__(self) -> None:
         if not (self.max_step_rad > 0 and self.max_rotation_rad > 0 and 0 <= self.wait_s < np.inf):
@@ -35,12 +41,17 @@ class Limits:
                 f"largest step {self.max_step_rad} rad, largest total {self.max_rotation_rad} rad, pause "
                 f"{self.wait_s} s: expected angles above 0 and a pause from 0"
             )
+        if self.max_step_rad < _LEAST_STEP_RAD or not self.timeout_s > 0:
+            raise ReorientError(
+                f"largest step {np.degrees(self.max_step_rad):g} deg, timeout {self.timeout_s:g} s: expected at least "
+                "0.01 deg, and seconds above 0"
+            )
 
     def parts(self, R_step: Float[np.ndarray, "3 3"]) -> Iterator[Float[np.ndarray, "3 3"]]:
         """The move as equal rotations about one axis, each within the largest step."""
         rotvec = so3.log(R_step)
         count = max(1, int(np.ceil(float(np.linalg.norm(rotvec)) / self.max_step_rad - 1e-9)))
-        yield from [so3.exp(rotvec / count)] * count
+        yield from repeat(so3.exp(rotvec / count), count)
 
 
 def nearest_reachable(R_step: Float[np.ndarray, "3 3"], reachable: Reachable) -> Float[np.ndarray, "3 3"] | None:

@@ -16,16 +16,21 @@ from reorient.controller.algorithm1 import Algorithm1
 from reorient.controller.base import Decision, OrientResult, Status, Step, Strategy, degrees, history_of
 from reorient.controller.fusing import Fusing
 from reorient.controller.limits import Limits, nearest_reachable
-from reorient.controller.station import Station, captured, clock_of, executed, missing_members, pivot_of
-from reorient.errors import ReorientError, StationError
+from reorient.controller.motion import MotionRecord
+from reorient.controller.session import Session, StationHangs
+from reorient.controller.station import Station, missing_members, pivot_of
+from reorient.errors import ReorientError
 from reorient.estimators.base import Estimator, RotationEstimate, as_estimate, check_pair
 from reorient.imaging import DepthImage
+from reorient.plugins import PROGRAMMING_ERRORS, USER_ERRORS, in_words
 
 MIN_GAIN_RAD = float(np.radians(0.5))
 """An alternative to an unreachable move is made if it comes nearer by this. Not tuned."""
 MIN_UNDONE_RAD = float(np.radians(5))
 """Smaller moves do not hide an object that was visible before. Not tuned."""
 INTERRUPTED = "interrupted by the keyboard"
+_FINAL = (*PROGRAMMING_ERRORS, StationHangs)
+"""Errors that no repetition avoids."""
 _STRATEGY = ("max_images", "patience", "undoes_moves", "history", "start", "decide")
 
 
@@ -41,11 +46,14 @@ def orient(
     """Rotate the object at the station until it matches the goal.
 
     ``strategy`` None: ``Fusing`` for an estimator with a calibrated confidence, Algorithm 1 for any other. ``pivot_m``:
-    rotation centre, camera axes; None: the station's own. Subscribers are called with each step, after its move.
+    rotation centre, camera axes; None: the station's own. Subscribers are called with each step, after its move; where
+    one has a method ``decided``, this is called with the step before the move, too.
 
-    An error of station or estimator is retried as often as the strategy's patience allows. After that a large last move
-    is undone, if the strategy wants that, or else the loop ends with the record kept. It also ends with the record kept
-    at a KeyboardInterrupt. Raises ReorientError for bad arguments, before anything moves.
+    An error of station or estimator is retried as often as the strategy's patience allows, but a programming error is
+    not. After that a large last move is undone, if the strategy wants that, or else the loop ends with the record kept.
+    It also ends with the record kept at a KeyboardInterrupt, where a call of the station does not end in time, and
+    where the images of two moves contradict the rotations that the station reported. Raises ReorientError for bad
+    arguments, before anything moves.
     """
     if not isinstance(goal, DepthImage):
         raise ReorientError(f"goal is a {type(goal).__name__}: expected DepthImage(depth_m, camera)")
@@ -84,19 +92,15 @@ class _Loop:
         limits: Limits,
         subscribers: Sequence[Callable[[Step], None]],
     ) -> None:
-        self.station, self.goal, self.estimator, self.strategy = station, goal, estimator, strategy
+        self.session, self.goal, self.estimator, self.strategy = Session(station, limits), goal, estimator, strategy
         self.pivot_m, self.limits, self.subscribers = pivot_m, limits, subscribers
         self.steps: list[Step] = []
         self.belief: Any = None
         """The strategy's; None before the first step."""
         self.errors: list[str] = []
         self.consecutive_errors = 0
-        self.rotated_rad = 0.0
-        """Sum of the angles of all moves."""
-        self.last_stamp_s = -np.inf
-        """Stamp of the last accepted frame."""
-        self.stale_before_s = -np.inf
-        """A frame with an earlier stamp shows the object before its last move."""
+        self.motion: MotionRecord | None = None
+        """How the reported rotations compare with the images; None before the first image."""
         self.confirmed = False
         """Whether the first move has been confirmed."""
 
@@ -110,63 +114,63 @@ class _Loop:
             return OrientResult(tuple(self.steps), end.status, end.reason, end.confidence, tuple(self.errors))
         except KeyboardInterrupt:
             return OrientResult(tuple(self.steps), "interrupted", INTERRUPTED, None, tuple(self.errors))
+        finally:
+            self.session.close()
 
     def observe(self) -> tuple[DepthImage, RotationEstimate] | None:
         """Capture and estimate; None where one failed and is to be retried."""
         if self.strategy is not None and len(self.steps) >= self.strategy.max_images:
             raise _Ended("max_images", f"limit of {self.strategy.max_images} images")
         try:
-            image = captured(self.station.capture())
-            self.refuse_stale(image)
-        except Exception as error:  # a driver may raise anything; the record must survive it
-            self.failed("station_failed", f"the station failed to capture: {_in_words(error)}")
+            image = self.session.capture()
+        except USER_ERRORS as error:  # a driver may raise anything; the record must survive it
+            self.failed("station_failed", f"the station failed to capture: {in_words(error)}", error)
             return None
         try:
             history = history_of(self.steps) if self.strategy is not None and self.strategy.history else ()
             answer = self.estimator.estimate(image, self.goal, self.pivot_m, history)
             return image, as_estimate(answer, image, self.goal)
-        except Exception as error:
-            self.failed("estimator_failed", f"the estimator failed: {_in_words(error)}")
+        except USER_ERRORS as error:
+            self.failed("estimator_failed", f"the estimator failed: {in_words(error)}", error)
             return None
 
-    def refuse_stale(self, image: DepthImage) -> None:
-        """Raise StationError for a frame that shows the object before its last move."""
-        if image.stamp_s is None:
-            return
-        if image.stamp_s < self.stale_before_s:
-            raise StationError(
-                f"stale frame: captured at {image.stamp_s:.3f} s, before the last move ended "
-                f"({self.stale_before_s:.3f} s)"
-            )
-        self.last_stamp_s = image.stamp_s
-
     def decide(self, image: DepthImage, estimate: RotationEstimate) -> Decision:
-        """Add the step to the record, still without a move, and ask the strategy."""
+        """Add the step to the record, still without a move, check the motion before it, and ask the strategy."""
         if self.strategy is None:
             self.strategy = Algorithm1() if estimate.confidence is None else Fusing()
         self.steps.append(Step(len(self.steps), image, estimate))
+        self.check_motion()
         try:
             if self.belief is None:
                 self.belief = self.strategy.start(self.goal)
             self.belief = self.belief.updated(self.steps[-1])
-            decision = self.strategy.decide(self.belief, self.reachable)
-        except Exception as error:  # it may be the user's own; the record must survive it
-            raise _Ended("strategy_failed", f"the strategy failed: {_in_words(error)}") from error
+            decision = self.strategy.decide(self.belief, self.session.reachable)
+        except USER_ERRORS as error:  # it may be the user's own; the record must survive it
+            raise _Ended("strategy_failed", f"the strategy failed: {in_words(error)}") from error
         self.steps[-1] = replace(self.steps[-1], message=decision.message, phase=decision.phase)
         return decision
 
+    def check_motion(self) -> None:
+        """Raise _Ended where the images contradict the rotations that the station reported."""
+        image = self.steps[-1].image
+        self.motion = MotionRecord.start(image) if self.motion is None else self.motion.updated(self.steps[-2], image)
+        if message := self.motion.contradiction:
+            self.steps[-1] = replace(self.steps[-1], message=message)
+            raise _Ended("inconsistent_motion", message)
+
     def act(self, decision: Decision) -> None:
         """Make the move, if there is one, and call the subscribers; raise _Ended where the loop ends."""
+        for subscriber in self.subscribers:
+            getattr(subscriber, "decided", lambda _: None)(self.steps[-1])
         R_step, end = self.planned(decision)
-        if R_step is not None:
-            self.move(R_step)
+        error = None if R_step is None else self.move(R_step)
         step = self.steps[-1]
         for subscriber in self.subscribers:
             subscriber(step)
         if end is not None:
             raise end
-        if step.error:
-            self.failed("station_failed", step.error)
+        if error is not None:
+            self.failed("station_failed", step.error, error)
         else:
             self.consecutive_errors = 0
 
@@ -183,9 +187,9 @@ class _Loop:
 
     def nearest_move(self, R_step: Float[np.ndarray, "3 3"]) -> tuple[Float[np.ndarray, "3 3"] | None, _Ended | None]:
         """A move, or the nearest one that the station can make instead, or how the loop ends."""
-        if self.reachable(R_step):
+        if self.session.reachable(R_step):
             return R_step, None
-        nearest = nearest_reachable(R_step, self.reachable)
+        nearest = nearest_reachable(R_step, self.session.reachable)
         wanted_rad = float(so3.angle(R_step))
         left_rad = wanted_rad if nearest is None else float(so3.angle_difference(nearest, R_step))
         message = (
@@ -200,61 +204,45 @@ class _Loop:
     def refusal(self, R_step: Float[np.ndarray, "3 3"]) -> _Ended | None:
         """How the loop ends if the limits forbid a move."""
         angle = degrees(float(so3.angle(R_step)), 1)
-        if self.rotated_rad + float(so3.angle(R_step)) > self.limits.max_rotation_rad:
+        if self.session.rotated_rad + float(so3.angle(R_step)) > self.limits.max_rotation_rad:
             return _Ended("max_rotation", f"the next move of {angle} would exceed the largest total rotation")
         if not self.confirmed and self.limits.confirm is not None and not self.limits.confirm(R_step):
             return _Ended("declined", f"the first move of {angle} was not confirmed")
         self.confirmed = True
         return None
 
-    def move(self, R_step: Float[np.ndarray, "3 3"]) -> None:
-        """Make a move and record it."""
+    def move(self, R_step: Float[np.ndarray, "3 3"]) -> BaseException | None:
+        """Make a move and record it; returns its error."""
         self.steps[-1] = replace(self.steps[-1], R_step=R_step)
         R_executed, error = self.rotate(R_step)
-        self.record(replace(self.steps[-1], R_executed=R_executed, error=error))
+        self.record(replace(self.steps[-1], R_executed=R_executed, error=_rotation_error(error)))
+        return error
 
     def record(self, step: Step) -> None:
         """Replace the latest step, whose move is known by now, in the record and in the belief."""
         self.steps[-1] = step
         try:
             self.belief = self.belief.updated(step)
-        except Exception as error:
-            raise _Ended("strategy_failed", f"the strategy failed: {_in_words(error)}") from error
+        except USER_ERRORS as error:
+            raise _Ended("strategy_failed", f"the strategy failed: {in_words(error)}") from error
 
-    def rotate(self, R_step: Float[np.ndarray, "3 3"]) -> tuple[Float[np.ndarray, "3 3"] | None, str]:
-        """Rotate in parts within the largest step; returns the executed rotation (None: unknown) and the error."""
-        R_done: Float[np.ndarray, "3 3"] = np.eye(3)
-        for part in self.limits.parts(R_step):
-            try:
-                done = executed(self.station.rotate(part))
-            except Exception as error:
-                self.rotated_rad += float(so3.angle(part))  # it may have been made before the error
-                return None, f"the station failed to rotate: {_in_words(error)}"
-            except KeyboardInterrupt:
-                self.steps[-1] = replace(self.steps[-1], R_executed=None, error=INTERRUPTED)
-                raise
-            finally:  # frames up to now are stale: by the station's clock, or else those not newer than the last one
-                clock_s = clock_of(self.station)
-                self.stale_before_s = float(np.nextafter(self.last_stamp_s, np.inf)) if clock_s is None else clock_s
-            R_done = done @ R_done
-            self.rotated_rad += float(so3.angle(done))
-        return R_done, ""
-
-    def reachable(self, R_step: Float[np.ndarray, "3 3"]) -> bool:
-        """Whether the station can make a move, if it knows. The question is about the whole move, though the limits may
-        have it made in parts."""
-        ask = getattr(self.station, "reachable", None)
-        if ask is None:
-            return True
+    def rotate(self, R_step: Float[np.ndarray, "3 3"]) -> tuple[Float[np.ndarray, "3 3"] | None, BaseException | None]:
+        """The executed rotation (None: unknown) and the error."""
         try:
-            return bool(ask(R_step))
-        except Exception:  # such a station gets the move, and may refuse it
-            return True
+            return self.session.rotate(R_step), None
+        except USER_ERRORS as error:
+            return None, error
+        except KeyboardInterrupt:
+            self.steps[-1] = replace(self.steps[-1], R_executed=None, error=INTERRUPTED)
+            raise
 
-    def failed(self, status: Status, message: str) -> None:
-        """Record an error. Beyond the strategy's patience undo the last move; raise _Ended where that is not done."""
+    def failed(self, status: Status, message: str, error: BaseException) -> None:
+        """Record an error. Beyond the strategy's patience undo the last move; raise _Ended where that is not done, and
+        for an error that no repetition avoids."""
         self.errors.append(message)
         self.consecutive_errors += 1
+        if isinstance(error, _FINAL):
+            raise _Ended(status, message)
         patience = Fusing().patience if self.strategy is None else self.strategy.patience
         if self.consecutive_errors > patience and not self.undo():
             raise _Ended(status, message)
@@ -272,11 +260,12 @@ class _Loop:
             return False
         R_done, error = self.rotate(R_back)
         angle = degrees(float(so3.angle(R_back)))
-        self.errors.append(error or f"no observation was possible after the move of {angle}: it was undone")
+        message = _rotation_error(error)
+        self.errors.append(message or f"no observation was possible after the move of {angle}: it was undone")
         R_both = None if R_done is None else R_done @ step.R_executed
-        self.record(replace(step, R_executed=R_both, error=error, undone=True))
+        self.record(replace(step, R_executed=R_both, error=message, undone=True))
         self.consecutive_errors = 0
-        return not error
+        return error is None
 
 
 def _plan(R_step: Float[np.ndarray, "3 3"] | None, end: _Ended | None) -> str:
@@ -287,5 +276,5 @@ def _plan(R_step: Float[np.ndarray, "3 3"] | None, end: _Ended | None) -> str:
     return f"would rotate by {degrees(float(so3.angle(R_step)), 1)} (rotation vector [{rotvec}] deg, camera axes)"
 
 
-def _in_words(error: Exception) -> str:
-    return str(error) if isinstance(error, ReorientError) else f"{type(error).__name__}: {error}"
+def _rotation_error(error: BaseException | None) -> str:
+    return "" if error is None else f"the station failed to rotate: {in_words(error)}"

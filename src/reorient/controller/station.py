@@ -7,17 +7,19 @@ import numpy as np
 from jaxtyping import Float
 
 from reorient import so3
-from reorient.errors import ReorientError, StationError
+from reorient.errors import ProtocolError, ReorientError, StationError
 from reorient.imaging import DepthImage
+from reorient.plugins import USER_ERRORS, in_words
 
 
 @runtime_checkable
 class Station(Protocol):
     """A robot cell, real or simulated. Its methods raise StationError, or the driver's own exceptions.
 
-    Two further methods are optional: ``reachable(R_step) -> bool``, whether ``rotate`` could execute it; and
-    ``clock_s() -> float``, the clock of the frames' stamps, by which a frame from before the end of the last move is
-    refused. Without it only frames that are not newer than the last one before the move are refused.
+    Three further methods are optional. ``reachable(R_step) -> bool``: whether ``rotate`` could execute it.
+    ``clock_s() -> float``: the clock of the frames' stamps, by which a frame from before the end of the last move is
+    refused; without it only frames that are not newer than the last one before the move are. ``stop()``: stops the
+    robot; called, from another thread, after a move that was interrupted or did not end in time.
     """
 
     @property
@@ -40,7 +42,7 @@ def missing_members(thing: object, members: Sequence[str]) -> list[str]:
     def present(member: str) -> bool:
         try:
             return hasattr(thing, member)
-        except Exception:
+        except USER_ERRORS:
             return True
 
     return [member for member in members if not present(member)]
@@ -52,28 +54,28 @@ def pivot_of(station: Station) -> Float[np.ndarray, "3"] | None:
         return station.pivot_m
     except ReorientError:
         raise
-    except Exception as error:
-        raise StationError(f"cannot read the station's pivot_m: {type(error).__name__}: {error}") from error
+    except USER_ERRORS as error:
+        raise StationError(f"cannot read the station's pivot_m: {in_words(error)}") from error
 
 
 def clock_of(station: object) -> float | None:
     """The clock of a station or a camera now, in seconds; None where it has none, or one that fails."""
     try:
         clock_s = float(station.clock_s())  # type: ignore[attr-defined]
-    except Exception:
+    except USER_ERRORS:
         return None
     return clock_s if np.isfinite(clock_s) else None
 
 
 def captured(image: object) -> DepthImage:
-    """The result of ``capture``. Raises StationError where it is no image."""
+    """The result of ``capture``. Raises ProtocolError where it is no image."""
     if not isinstance(image, DepthImage):
-        raise StationError(f"capture() returned a {type(image).__name__}: expected DepthImage(depth_m, camera)")
+        raise ProtocolError(f"capture() returned a {type(image).__name__}: expected DepthImage(depth_m, camera)")
     return image
 
 
 def executed(R: object) -> Float[np.ndarray, "3 3"]:
-    """The result of ``rotate``. Raises StationError where it is no rotation."""
+    """The result of ``rotate``. Raises ProtocolError where it is no rotation."""
     if not so3.is_rotation(np.asarray(R, float) if R is not None else np.empty(0)):
-        raise StationError("rotate() returned no rotation: expected the (3, 3) matrix of the executed motion")
+        raise ProtocolError("rotate() returned no rotation: expected the (3, 3) matrix of the executed motion")
     return np.asarray(R, float)

@@ -34,6 +34,11 @@ class RotationEstimate:
     covariance_rad2: Float[np.ndarray, "3 3"] | None = None
     """Covariance (rad^2) of the rotation vector d, camera axes, in R_true = exp(d) R_goal_current, if the answer is
     near the truth; None if unknown."""
+    free_axis: Float[np.ndarray, "3"] | None = None
+    """Unit axis, the goal's camera axes, about which every rotation fits, as of a solid of revolution; the answer is
+    then the smallest of these rotations. None if there is none."""
+    warnings: tuple[str, ...] = ()
+    """What was found wrong with the input, a sentence each."""
 
     @property
     def T_goal_current(self) -> se3.Transform:

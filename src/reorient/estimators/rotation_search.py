@@ -5,22 +5,30 @@ the other rotations that fit where the object is symmetric or the two views leav
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from os import cpu_count
 
 import numpy as np
 from jaxtyping import Float
 
+from reorient import so3
 from reorient.errors import ReorientError, unknown_name
 from reorient.estimators.base import History, RotationEstimate, check_pair, checked_history, with_evidence
+from reorient.estimators.equivalents import smallest_equivalent
 from reorient.estimators.polish import polish, uncertainty
-from reorient.estimators.search import EFFORTS, search
+from reorient.estimators.search import EFFORTS, Found, search
+from reorient.estimators.static_part import find_static_part
 from reorient.estimators.verifier import Verifier, features, load_verifier
 from reorient.imaging import DepthImage
-from reorient.registration import Hypotheses, Problem, build_problem, non_maximum_suppression
+from reorient.registration import Problem, build_problem, non_maximum_suppression
 from reorient.runs.pool import Pool
 
 DISTINCT_RAD = np.radians(12)  # two hypotheses closer than this are one answer
 ALTERNATIVE_ABOVE = 0.25  # of the answer's probability: a less likely hypothesis is no alternative
+SURE = 0.9  # probability above which a known pivot is not doubted
+CONTRADICTED2 = 9.0  # squared Mahalanobis distance of a motion from leaving the pivot in place that contradicts it
+DOUBTED = 0.49  # largest confidence of an answer that part of the image contradicts
+LEAST_COVISIBLE, UNSUPPORTED = 0.05, 0.1  # with a smaller co-visible inlier ratio the confidence is at most the latter
 
 
 class RotationSearch:
@@ -42,7 +50,43 @@ class RotationSearch:
         """As ``Estimator.estimate``; of the history the captures that show the most new are used."""
         check_pair(current, goal, pivot_m)
         problem = build_problem(current, goal, pivot_m, checked_history(history))
-        return select_and_polish(problem, search(problem, EFFORTS[self._effort]), load_verifier(), self._effort)
+        verified = self._without_wrong_pivot(self._verified(problem))
+        return polished(self._without_static_part(verified))
+
+    def _verified(self, problem: Problem, more: Found | None = None) -> "Verified":
+        """The hypotheses of a search, and more of them, verified."""
+        found = search(problem, EFFORTS[self._effort])
+        return verify(problem, found if more is None else found.and_also(more), load_verifier(), self._effort)
+
+    def _without_wrong_pivot(self, verified: "Verified") -> "Verified":
+        """The hypotheses without the pivot where they are verified with it only poorly, and better without it."""
+        prior = verified.problem.prior
+        if not prior.known or verified.confidence >= SURE:
+            return verified
+        freely = self._verified(verified.problem.without_pivot, verified.found)
+        best = freely.found.hypotheses[np.array([freely.best])]
+        contradicted = prior.mahalanobis2(best.R, best.t_m)[0] > CONTRADICTED2
+        if not contradicted or freely.confidence <= verified.confidence:
+            return verified
+        error_cm = 100 * prior.error_m(best.R[0], best.t_m[0])
+        return freely.with_warning(
+            f"the images contradict the pivot, which would be {error_cm:.1f} cm off: it was not used (is it the centre "
+            "about which the object rotates, in camera axes?)"
+        )
+
+    def _without_static_part(self, verified: "Verified") -> "Verified":
+        """The hypotheses without the part of the image that did not move, if there is one."""
+        best = verified.found.hypotheses[np.array([verified.best])]
+        static = find_static_part(verified.problem, best.R[0], best.t_m[0], verified.confidence >= SURE)
+        if static is None:
+            return verified
+        message = f"part of the image did not move ({static.share:.0%} of the returns): "
+        if static.rest is None:
+            return verified.with_warning(message + "remove it (--mask, --box, --remove-plane)").at_most(DOUBTED)
+        rest = self._verified(static.rest)
+        if not static.still and rest.confidence < verified.confidence:
+            return verified
+        return rest.with_warning(message + "the estimate is of the rest", *verified.warnings)
 
     def estimate_many(
         self,
@@ -62,25 +106,67 @@ class RotationSearch:
         return list(pool.map(lambda task: self.estimate(*task), tasks))
 
 
-def select_and_polish(problem: Problem, hypotheses: Hypotheses, verifier: Verifier, effort: str) -> RotationEstimate:
-    """The most likely hypothesis of a search with that effort, polished, and the alternatives to it."""
-    by_observation = [verifier.log_odds(features(problem.only(x), hypotheses)) for x in problem.observations]
-    log_odds = np.mean(by_observation, axis=0)
-    probability = verifier.probability(log_odds, effort)
-    best = int(np.argsort(-log_odds, kind="stable")[0])
+@dataclass(frozen=True, eq=False)
+class Verified:
+    """The hypotheses of a problem, and how probable each is."""
+
+    problem: Problem
+    found: Found
+    log_odds: Float[np.ndarray, " k"]
+    probability: Float[np.ndarray, " k"]
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def best(self) -> int:
+        """The most likely hypothesis."""
+        return int(np.argsort(-self.log_odds, kind="stable")[0])
+
+    @property
+    def confidence(self) -> float:
+        """Its probability."""
+        return float(self.probability[self.best])
+
+    def with_warning(self, *warnings: str) -> "Verified":
+        """The same with warnings before those that there are."""
+        return replace(self, warnings=(*warnings, *self.warnings))
+
+    def at_most(self, probability: float) -> "Verified":
+        """The same with no hypothesis more probable than this."""
+        return replace(self, probability=np.minimum(self.probability, probability))
+
+
+def verify(problem: Problem, found: Found, verifier: Verifier, effort: str) -> Verified:
+    """The probability of each hypothesis of a search with that effort, from all observations."""
+    each = [verifier.log_odds(features(problem.only(x), found.hypotheses)) for x in problem.observations]
+    log_odds = np.mean(each, axis=0)
+    return Verified(problem, found, log_odds, verifier.probability(log_odds, effort))
+
+
+def polished(verified: Verified) -> RotationEstimate:
+    """The most likely hypothesis, polished, and the alternatives to it."""
+    hypotheses, probability, best = verified.found.hypotheses, verified.probability, verified.best
     likely = np.nonzero(probability > ALTERNATIVE_ABOVE * probability[best])[0]
-    distinct = likely[non_maximum_suppression(hypotheses.R[likely], log_odds[likely], DISTINCT_RAD)]  # the best first
+    # the best first
+    distinct = likely[non_maximum_suppression(hypotheses.R[likely], verified.log_odds[likely], DISTINCT_RAD)]
     share = probability / max(float(probability[distinct].sum()), 1.0)  # normalised only if they sum to more than 1
-    answer = polish(problem, hypotheses[np.array([best])])
+    problem = verified.problem if verified.found.silhouettes[best] else verified.problem.without_silhouettes
+    chosen, axis = smallest_equivalent(problem, hypotheses[np.array([best])], hypotheses[distinct[1:]])
+    others = distinct[so3.angle_difference(hypotheses.R[distinct], chosen.R[0]) > DISTINCT_RAD]
+    answer = polish(problem, chosen)
     covariance_rad2, converged = uncertainty(problem, answer.hypothesis)
-    return with_evidence(
-        problem.current,
-        problem.goal,
+    estimate = with_evidence(
+        verified.problem.current,
+        verified.problem.goal,
         answer.hypothesis.R[0],
         answer.hypothesis.t_m[0],
         converged=converged,
         iterations=answer.iterations,
-        confidence=float(probability[best]),
-        alternatives=tuple((hypotheses.R[i], float(share[i])) for i in distinct[1:]),
+        confidence=verified.confidence,
+        alternatives=tuple((hypotheses.R[i], float(share[i])) for i in others),
         covariance_rad2=covariance_rad2,
+        free_axis=axis,
+        warnings=verified.warnings,
     )
+    if not estimate.evidence.covisible_inlier_ratio >= LEAST_COVISIBLE:  # nor if it is NaN
+        return replace(estimate, confidence=min(verified.confidence, UNSUPPORTED))
+    return estimate

@@ -4,13 +4,17 @@
    first translation is a guess where no pivot is known.
 2. From the best after non-maximum suppression (and "no rotation"): Gauss-Newton, non-maximum suppression, perturb and
    select; and again with finer tolerances.
-3. Gauss-Newton to the finest tolerance; the hypotheses left after non-maximum suppression go to the verifier.
+3. Gauss-Newton to the finest tolerance, and non-maximum suppression.
+
+All this twice: with the silhouettes, which help where the images show the whole object, and with less work without
+them, which mislead where part of it is missing. Both sets of hypotheses go to the verifier.
 """
 
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from jaxtyping import Bool
 from numpy.random import Generator
 
 from reorient import so3
@@ -60,6 +64,8 @@ GRID_TOLERANCE = 0.05  # depth difference of an inlier, relative to the object d
 SLIDE, SLIDE_POINTS = (0.08, 0.08), 60  # the two steps from the grid: tolerances (docs/tuning.md), points of each image
 MODE_RADIUS_RAD = float(np.radians(15))  # of the non-maximum suppression after these
 
+SAME_RAD = float(np.radians(1))  # a hypothesis of one search this close to one of the other is the same; not tuned
+
 _COARSE = (0.05, 0.05, 0.04, 0.04, 0.03, 0.03)
 _MIDDLE = (0.03, 0.025, 0.02, 0.02, 0.015, 0.015)
 _FINE = (0.01, 0.01, 0.01, 0.01)
@@ -91,19 +97,19 @@ EFFORTS = {
         stages=(
             Stage(
                 tolerances=_COARSE, points=200, scored_tolerance=0.03, scored_points=300,
-                keep=34, radius_deg=8.0, copies=24, rotation_rad=0.2, shift=0.04,
+                keep=24, radius_deg=8.0, copies=24, rotation_rad=0.2, shift=0.04,
             ),
             Stage(
                 tolerances=_MIDDLE, points=400, scored_tolerance=0.015, scored_points=600,
-                keep=18, radius_deg=5.0, copies=24, rotation_rad=0.1, shift=0.02,
+                keep=12, radius_deg=5.0, copies=24, rotation_rad=0.1, shift=0.02,
             ),
             Stage(
                 tolerances=_FINE, points=1000, scored_tolerance=0.01, scored_points=1000,
-                keep=14, radius_deg=3.0, copies=16, rotation_rad=0.06, shift=0.012,
+                keep=8, radius_deg=3.0, copies=16, rotation_rad=0.06, shift=0.012,
             ),
             Stage(
                 tolerances=_FINEST, points=1000, scored_tolerance=0.012, scored_points=1000,
-                keep=14, radius_deg=3.0,
+                keep=8, radius_deg=3.0,
             ),
         ),
     ),
@@ -138,8 +144,33 @@ EFFORTS = {
 _grid = cache(so3.grid)
 
 
-def search(problem: Problem, effort: Effort) -> Hypotheses:
-    """Distinct hypotheses, best score first. Deterministic."""
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a search leaves to the verifier."""
+
+    hypotheses: Hypotheses
+    """Best score first."""
+    silhouettes: Bool[np.ndarray, " k"]
+    """Which of them were refined with the silhouettes."""
+
+    def and_also(self, others: "Found") -> "Found":
+        """These, and others after them."""
+        silhouettes = np.concatenate([self.silhouettes, others.silhouettes])
+        return Found(self.hypotheses.and_also(others.hypotheses), silhouettes)
+
+
+def search(problem: Problem, effort: Effort) -> Found:
+    """Distinct hypotheses of a search with the silhouettes, and of one without. Deterministic."""
+    found = search_once(problem, effort), search_once(problem.without_silhouettes, EFFORTS["fast"])
+    hypotheses = found[0].and_also(found[1])
+    with_silhouettes = np.arange(len(hypotheses)) < len(found[0])
+    score = problem.score(hypotheses, effort.stages[-1].scored_tolerance, effort.stages[-1].scored_points)
+    kept = non_maximum_suppression(hypotheses.R, score, SAME_RAD)
+    return Found(hypotheses[kept], with_silhouettes[kept])
+
+
+def search_once(problem: Problem, effort: Effort) -> Hypotheses:
+    """Distinct hypotheses, best score first."""
     rng = np.random.default_rng(0)
     hypotheses = propose(problem, effort)
     for stage in effort.stages:
@@ -162,7 +193,7 @@ def propose(problem: Problem, effort: Effort) -> Hypotheses:
     score = problem.score(slid, GRID_TOLERANCE, effort.grid_points)
     slid = slid[non_maximum_suppression(slid.R, score, MODE_RADIUS_RAD, effort.modes)]
     still = problem.start(np.eye(3)[None])
-    return Hypotheses(np.concatenate([still.R, slid.R]), np.concatenate([still.t_m, slid.t_m]))
+    return still.and_also(slid)
 
 
 def perturb_and_select(problem: Problem, hypotheses: Hypotheses, rng: Generator, stage: Stage) -> Hypotheses:

@@ -26,14 +26,17 @@ _ONE_WAY = (
     *(f"inlier {tolerance}" for tolerance in TOLERANCES),
     *(f"free space {tolerance}" for tolerance in TOLERANCES[1:]),
     *(f"covisible inlier {tolerance}" for tolerance in TOLERANCES[1:3]),
-    *("silhouette", "far outside silhouette", "occluded", "occluded and facing", "depth occluded"),
+    *("silhouette", "far outside silhouette", "unknown", "occluded", "occluded and facing", "depth occluded"),
     *("mean residual", "median residual", "normals agree", "normals differ", "relief across", "relief along"),
 )
 _OWN = (
     *("angle", "rotation uncertainty", "shift uncertainty", "prior distance2", "shift of centre", "pivot known"),
     "returns",
 )
-_OF_SET = ("score", "less than best", "lead over next", "place", "near a better one", "competing")
+_OF_SET = (
+    *("score", "less than best", "lead over next", "place", "near a better one", "competing"),
+    *("score without silhouettes", "less than best without silhouettes"),
+)
 _BOTH_WAYS = (*(f"least {x}" for x in _ONE_WAY), *(f"most {x}" for x in _ONE_WAY))
 FEATURES = (
     *_BOTH_WAYS,
@@ -58,10 +61,12 @@ def features(problem: Problem, hypotheses: Hypotheses) -> Float[np.ndarray, "k f
         ways[:, :, _ONE_WAY.index(name)]
         for name in (f"inlier {INLIER_TOLERANCE}", f"free space {INLIER_TOLERANCE}", "silhouette")
     )
-    score = (inlier - free_space - silhouette).mean(axis=0)
+    without_silhouettes = (inlier - free_space).mean(axis=0)
+    score = without_silhouettes - silhouette.mean(axis=0)
     both = np.concatenate([ways.min(axis=0), ways.max(axis=0)], axis=1)
+    of_set = _of_set(then.R, score, without_silhouettes)
     relative = both - both[np.argmax(score)], both - both.mean(axis=0)
-    return np.concatenate([both, *relative, _own(problem, hypotheses), _of_set(then.R, score)], axis=1)
+    return np.concatenate([both, *relative, _own(problem, hypotheses), of_set], axis=1)
 
 
 def _one_way(
@@ -82,7 +87,8 @@ def _one_way(
     silhouette = outside.mean(axis=1)
     inlier = [(np.abs(difference) <= tolerance).mean(axis=1) for tolerance in TOLERANCES]
     free_space = [(~outside & (difference < -tolerance)).mean(axis=1) for tolerance in TOLERANCES[1:]]
-    occluded = difference > INLIER_TOLERANCE
+    unknown = warped.unknown()
+    occluded = ~unknown & (difference > INLIER_TOLERANCE)
     spread = (own * fits[:, None]) @ np.swapaxes(own, 1, 2) / count[:, None, None]  # small for flat faces
     relief = np.linalg.eigvalsh(spread)
     columns = [
@@ -91,6 +97,7 @@ def _one_way(
         *(x / np.maximum(x + y + silhouette, 1e-3) for x, y in zip(inlier[1:3], free_space[:2], strict=True)),
         silhouette,
         (target.outside_px(warped.pixel) > 3).mean(axis=1),
+        unknown.mean(axis=1),
         occluded.mean(axis=1),
         (occluded & (np.sum(own * x, axis=1) < 0)).mean(axis=1),
         np.where(occluded, difference, 0).sum(axis=1) / np.maximum(occluded.sum(axis=1), 1),
@@ -124,7 +131,9 @@ def _own(problem: Problem, hypotheses: Hypotheses) -> Float[np.ndarray, "k f"]:
     return np.stack(columns, axis=1)
 
 
-def _of_set(R: Float[np.ndarray, "k 3 3"], score: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k f"]:
+def _of_set(
+    R: Float[np.ndarray, "k 3 3"], score: Float[np.ndarray, " k"], without_silhouettes: Float[np.ndarray, " k"]
+) -> Float[np.ndarray, "k f"]:
     """Features relative to the other hypotheses."""
     k = len(R)
     between = so3.angle_difference(R[:, None], R[None])
@@ -138,6 +147,8 @@ def _of_set(R: Float[np.ndarray, "k 3 3"], score: Float[np.ndarray, " k"]) -> Fl
         better.sum(axis=1),
         np.where(better, between, np.pi).min(axis=1),
         np.sum((others > score[:, None] - 0.05) & (between > np.radians(10)), axis=1),
+        without_silhouettes,
+        without_silhouettes.max() - without_silhouettes,
     ]
     return np.stack(columns, axis=1)
 

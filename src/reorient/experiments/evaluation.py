@@ -19,6 +19,7 @@ from reorient.errors import ReorientError, check_angles, check_range
 from reorient.estimators import load_estimator
 from reorient.estimators.base import Estimator, as_estimate
 from reorient.experiments.cached import cached_estimator, cached_object
+from reorient.plugins import USER_ERRORS, in_words
 from reorient.runs.pool import Pool
 from reorient.runs.provenance import read_record
 from reorient.runs.run import CONFIG, Progress, Row, RowStore, Tables, resumable
@@ -194,13 +195,13 @@ def _estimates(
 def estimate_cells(
     estimator: Estimator, pair: Pair, group: SymmetryGroup, pivot_m: Float[np.ndarray, "3"] | None
 ) -> dict[str, Any]:
-    """Cells of one row. An estimator that raises ReorientError counts as "no rotation"; ``message`` is the error."""
+    """Cells of one row. An estimator that raises an error counts as "no rotation"; ``message`` is the error."""
     begin = time.process_time()
     try:
         answer = estimator.estimate(pair.current, pair.goal, pivot_m)
         estimate = as_estimate(answer, pair.current, pair.goal)
-    except ReorientError as error:
-        R, message, figures = np.eye(3), str(error), {}
+    except USER_ERRORS as error:
+        R, message, figures = np.eye(3), in_words(error), {}
     else:
         R, message = estimate.R_goal_current, ""
         evidence = estimate.evidence

@@ -52,8 +52,8 @@ def object_clusters(image: DepthImage, part: Mask, trusted: bool = False) -> Obj
     """The largest cluster of a part of a frame, and those that belong to it. ``part`` is not empty.
 
     A cluster belongs to the object if it is near it in space, or if only nearer returns and pixels without return are
-    between them. Stray returns are dropped. ``trusted``: the part is the user's own mask, so that clusters of similar
-    size belong to the object unless they are farther away than its size.
+    between them. Stray returns are dropped. ``trusted``: the part is the user's own mask, so that other clusters
+    belong to the object, too, unless they are farther away than its size.
     """
     labels = clusters(image, part)
     sizes = np.bincount(labels.ravel())
@@ -67,11 +67,11 @@ def object_clusters(image: DepthImage, part: Mask, trusted: bool = False) -> Obj
         own = own + joined
         rest = [i for i in rest if i not in joined]
     mask = np.isin(labels, own)
-    similar = [i for i in rest if sizes[i] >= _SIMILAR * np.count_nonzero(mask)]
-    if trusted and similar:
+    if trusted and rest:
         gap = _Gap(image, mask)
-        own += [i for i in similar if gap.relative(labels == i) < 1]
+        own = own + [i for i in rest if gap.relative(labels == i) < 1]
         return ObjectClusters(np.isin(labels, own), None)
+    similar = [i for i in rest if sizes[i] >= _SIMILAR * np.count_nonzero(mask)]
     return ObjectClusters(mask, labels == similar[0] if similar else None)
 
 

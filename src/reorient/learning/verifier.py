@@ -5,6 +5,7 @@ The data is a resumable run (``reorient.runs``) with a file for a few objects. T
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy.random import Generator
 
+from reorient import so3
 from reorient.errors import ReorientError, check_range, unknown_name
 from reorient.estimators.search import EFFORTS, search
 from reorient.estimators.verifier import FEATURES, features
@@ -21,14 +23,16 @@ from reorient.runs.files import replacing
 from reorient.runs.pool import Pool
 from reorient.runs.run import Progress, resumable
 from reorient.world.objects import ObjectSource
-from reorient.world.pairs import Pair, sample_pair
+from reorient.world.pairs import Pair, sample_pair, scene_of
 from reorient.world.rendering import Renderer, load_world
 from reorient.world.sensing import randomised
+from reorient.world.static_parts import with_static_part
 from reorient.world.symmetry import rotation_group, symmetric_error
 
 RIGHT_DEG = 5.0
 RANGES_DEG = ((0, 30), (30, 60), (60, 90), (90, 180))
 PIVOT_SHARE = 0.6  # of the pairs come with a pivot
+STATIC_SHARES, STATIC_NOISE_M = (0.1, 0.75), 0.001  # of the returns; of their depth
 Arrays = dict[str, np.ndarray]
 
 
@@ -46,6 +50,10 @@ class VerifierData:
     """Preset of camera, size and distance: benchmark, paper or in_hand."""
     in_hand: float = 0.0
     """Share of the pairs that are of the preset in_hand, before the camera of the world."""
+    static: float = 0.0
+    """Share of the pairs with a part that does not move with the object: 10 to 75% of the pixels."""
+    wrong_pivot: float = 0.0
+    """Share of the pivots that are 2 to 15 cm off."""
     most_noise_mm: float = 3.0
     """Largest depth noise: a quarter of the pairs has none, half up to 1 mm, the rest up to this."""
     most_wrong_focal: float = 0.02
@@ -62,7 +70,7 @@ class VerifierData:
             raise unknown_name("effort", self.effort, list(EFFORTS))
         check_range(self, "pairs", "per_shard", low=1)
         check_range(self, "seed", "most_noise_mm")
-        check_range(self, "in_hand", high=1)
+        check_range(self, "in_hand", "static", "wrong_pivot", high=1)
         check_range(self, "most_wrong_focal", high=1, below=True)
 
 
@@ -121,9 +129,12 @@ def _hypotheses(config: VerifierData, renderer: Renderer, number: int) -> Iterat
             pair = sample_pair(rng, renderer, held, randomised(_noise_m(rng, config.most_noise_mm)), low, high)
         except ReorientError:  # a sheet that shows too little from everywhere
             continue
+        if rng.random() < config.static:
+            pair = _with_static_part(rng, renderer, pair)
         images = _with_wrong_focal(rng, pair, config.most_wrong_focal)
-        problem = build_problem(*images, pair.pivot_m if rng.random() < PIVOT_SHARE else None)
-        hypotheses = search(problem, EFFORTS[config.effort])
+        pivot_m = _off(rng, pair.pivot_m) if rng.random() < config.wrong_pivot else pair.pivot_m
+        problem = build_problem(*images, pivot_m if rng.random() < PIVOT_SHARE else None)
+        hypotheses = search(problem, EFFORTS[config.effort]).hypotheses
         errors = [symmetric_error(group, R, pair.R_goal_current, pair.R_camera_object) for R in hypotheses.R]
         yield {
             "figures": features(problem, hypotheses).astype(np.float32),
@@ -132,6 +143,20 @@ def _hypotheses(config: VerifierData, renderer: Renderer, number: int) -> Iterat
             "object": np.full(len(errors), number),
             "angle_deg": np.full(len(errors), np.degrees(low), np.float32),
         }
+
+
+def _with_static_part(rng: Generator, renderer: Renderer, pair: Pair) -> Pair:
+    """The pair with a fragment of a table, or a gripper, that does not move; unchanged where none fits."""
+    with suppress(ReorientError):
+        kind = rng.choice(["table", "gripper"])
+        current, goal = with_static_part(rng, scene_of(renderer, pair), kind, STATIC_SHARES, STATIC_NOISE_M).images
+        return replace(pair, current=current, goal=goal)
+    return pair
+
+
+def _off(rng: Generator, pivot_m: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """A pivot as far off as a flange is from the fingertips."""
+    return np.asarray(pivot_m + so3.sample_axes(rng, 1)[0] * rng.uniform(0.02, 0.15))
 
 
 def _noise_m(rng: Generator, most_mm: float) -> float:

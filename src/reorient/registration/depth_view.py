@@ -7,6 +7,7 @@ have one form, ``normal @ x - offset``. An unknown pixel hides every point that 
 beyond the frame. Unknown pixels beside the object may show more of it: the outline goes around them, too.
 """
 
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -84,6 +85,10 @@ class Warped:
         """Points in front of the surface."""
         return np.asarray(self.violation(tolerance_m) & ~self.silhouette_violation())
 
+    def unknown(self) -> Bool[np.ndarray, "*batch"]:
+        """Points on an unknown pixel or beyond the frame."""
+        return self.difference_m > OUTSIDE_M / 2
+
     def occluded(self, tolerance_m: float) -> Bool[np.ndarray, "*batch"]:
         """Points behind the surface, or on an unknown pixel."""
         return self.difference_m > tolerance_m
@@ -112,6 +117,13 @@ class DepthView:
         self._focal = np.float32(camera.fx), np.float32(camera.fy)
         self._centre = np.float32(camera.cx + _PAD), np.float32(camera.cy + _PAD)
         self._samples: dict[int, Float[np.ndarray, "3 n"]] = {}
+
+    @cached_property
+    def without_silhouette(self) -> "DepthView":
+        """The view with all that is not the object unknown: no point violates its silhouette."""
+        view = copy(self)
+        view._surface_m = np.where(self._gap_px <= GAP_PX, self._surface_m, -OUTSIDE_M)
+        return view
 
     @cached_property
     def diameter_m(self) -> float:

@@ -19,6 +19,10 @@ class Hypotheses:
     def __getitem__(self, chosen: np.ndarray | slice) -> "Hypotheses":
         return Hypotheses(self.R[chosen], self.t_m[chosen])
 
+    def and_also(self, others: "Hypotheses") -> "Hypotheses":
+        """These, and others after them."""
+        return Hypotheses(np.concatenate([self.R, others.R]), np.concatenate([self.t_m, others.t_m]))
+
     @property
     def inverse(self) -> "Hypotheses":
         """The motions from goal to current."""

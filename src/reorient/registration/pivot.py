@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from reorient import so3
 from reorient.registration.depth_view import DepthView
 
 PIVOT_ERROR_M = 0.007  # standard deviation of a known pivot along each axis (it is uniform within 1 cm)
@@ -41,6 +42,11 @@ class PivotPrior:
         away = np.eye(3) - R
         covariance = PIVOT_ERROR_M**2 * away @ np.swapaxes(away, 1, 2) + (SLACK * self.diameter_m) ** 2 * np.eye(3)
         return np.linalg.inv(covariance), R @ self.current_m + t_m - self.goal_m
+
+    def error_m(self, R: Float[np.ndarray, "3 3"], t_m: Float[np.ndarray, "3"]) -> float:
+        """The least distance of the known pivot from one that a motion would leave in place; inf for no rotation."""
+        moved_m = float(np.linalg.norm(R @ self.current_m + t_m - self.goal_m))
+        return moved_m / float(np.maximum(2 * np.sin(so3.angle(R) / 2), 1e-9))
 
     def mahalanobis2(self, R: Float[np.ndarray, "k 3 3"], t_m: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
         """Squared Mahalanobis distance of each motion from leaving the pivot in place; 0 where none is known."""

@@ -1,7 +1,8 @@
 """The alignment problem: observations of the object, the goal, the pivot prior, and the score of hypotheses."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -9,7 +10,7 @@ from jaxtyping import Float
 from reorient.registration.depth_view import DepthView
 from reorient.registration.evidence import score
 from reorient.registration.hypotheses import Hypotheses, rotate
-from reorient.registration.pivot import PivotPrior
+from reorient.registration.pivot import PivotPrior, pivot_prior
 
 PRIOR_COST = 0.01  # of the score, for each unit of the prior's squared Mahalanobis distance
 LARGEST_DISTANCE2 = 20.0
@@ -47,6 +48,22 @@ class Problem:
     def only(self, observation: Observation) -> "Problem":
         """The problem with one observation alone."""
         return Problem((observation,), self.goal, self.prior)
+
+    @cached_property
+    def without_silhouettes(self) -> "Problem":
+        """The problem with all that is not the object unknown in every image."""
+        observations = tuple(replace(x, view=x.view.without_silhouette) for x in self.observations)
+        return Problem(observations, self.goal.without_silhouette, self.prior)
+
+    @property
+    def without_pivot(self) -> "Problem":
+        """The problem with guesses in place of a known pivot."""
+        return replace(self, prior=pivot_prior(self.current, self.goal, None))
+
+    def of_views(self, current: DepthView, goal: DepthView) -> "Problem":
+        """The problem of other views, without history; with this one's pivot, if that is known."""
+        prior = pivot_prior(current, goal, self.prior.current_m if self.prior.known else None)
+        return Problem((Observation(current, np.eye(3), np.zeros(3)),), goal, prior)
 
     def first_translations(self, R: Float[np.ndarray, "k 3 3"]) -> Float[np.ndarray, "k 3"]:
         """Translations (metres) to begin with: about a known pivot, else current's returns in place of the goal's.

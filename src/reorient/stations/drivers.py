@@ -14,7 +14,7 @@ from typing import Any, Protocol, cast, runtime_checkable
 from reorient.controller.station import missing_members
 from reorient.errors import ReorientError, unknown_name
 from reorient.imaging import DepthImage
-from reorient.plugins import import_own
+from reorient.plugins import USER_ERRORS, import_own, in_words
 from reorient.se3 import Transform
 
 
@@ -111,8 +111,8 @@ def _made(
         made: object = driver(**settings)
     except ReorientError:
         raise
-    except Exception as error:  # the vendor's library may raise anything
-        raise ReorientError(f"cannot open {kind} {name!r}: {type(error).__name__}: {error}") from error
+    except USER_ERRORS as error:  # the vendor's library may raise anything
+        raise ReorientError(f"cannot open {kind} {name!r}: {in_words(error)}") from error
     if missing := missing_members(made, members):
         raise ReorientError(f"{kind} driver {name!r} has no {', '.join(missing)}: expected {', '.join(members)}")
     return made

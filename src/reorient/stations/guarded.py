@@ -12,6 +12,7 @@ from reorient.controller.station import captured, clock_of
 from reorient.errors import ReorientError, StationError, check_range
 from reorient.imaging import DepthImage
 from reorient.imaging.depth_image import MILLIMETRES_ABOVE
+from reorient.plugins import USER_ERRORS, in_words
 from reorient.se3 import Transform
 from reorient.stations.drivers import ArmDriver, CameraDriver
 
@@ -79,8 +80,8 @@ class GuardedArm:
             T = self._arm.pose()
         except ReorientError:
             raise
-        except Exception as error:
-            raise StationError(f"the arm has no pose: {type(error).__name__}: {error}") from error
+        except USER_ERRORS as error:
+            raise StationError(f"the arm has no pose: {in_words(error)}") from error
         return checked_pose(T, "pose()")
 
     def reachable(self, T_base_tool: Transform) -> bool:
@@ -105,9 +106,8 @@ class GuardedArm:
         try:
             returned = checked_pose(self._arm.move_to(T_base_tool), "move_to()")
         except BaseException as error:  # Ctrl-C too: the arm must not go on
-            words = str(error) if isinstance(error, ReorientError) else f"{type(error).__name__}: {error}"
-            halt = self._halt(f"the move failed: {words}")
-            if isinstance(error, Exception):
+            halt = self._halt(f"the move failed: {in_words(error)}")
+            if isinstance(error, USER_ERRORS):
                 raise halt from error
             raise
         measured = self.pose()
@@ -145,8 +145,8 @@ class GuardedArm:
         self.halted = self.halted or reason
         try:
             self._arm.stop()
-        except Exception as error:
-            reason = f"{reason}; stopping it failed too ({type(error).__name__}: {error})"
+        except USER_ERRORS as error:
+            reason = f"{reason}; stopping it failed too ({in_words(error)})"
         return StationError(reason)
 
 
@@ -221,8 +221,8 @@ class FreshFrames:
             image = captured(self._camera.capture())
         except ReorientError:
             raise
-        except Exception as error:
-            raise StationError(f"the camera failed to capture: {type(error).__name__}: {error}") from error
+        except USER_ERRORS as error:
+            raise StationError(f"the camera failed to capture: {in_words(error)}") from error
         if image.stamp_s is not None:
             self._ahead_s = max(self._ahead_s, image.stamp_s - time.monotonic())
         return image

@@ -1,7 +1,8 @@
 """Recording of a station in a folder, and the folder as a station, so that a failure can become a test.
 
 A record is ``record.json`` (the pivot, all captures and moves in order, errors included, and the answers of
-``reachable``) beside ``goal.npz`` and one ``.npz`` for each frame. It is complete after every act.
+``reachable``) beside ``goal.npz`` and one ``.npz`` for each frame. It is complete before and after every act; an act
+that never ended has an error, too. A record names files inside its folder only, and runs no code.
 """
 
 import json
@@ -19,6 +20,7 @@ from reorient.imaging import DepthImage
 from reorient.imaging.files import read_depth, write_depth
 from reorient.runs.files import make_folder, replacing
 
+UNFINISHED = "did not end"
 SAME_RAD = float(np.radians(0.1))  # largest difference of a move from the recorded one
 
 
@@ -51,10 +53,11 @@ class RecordingStation:
     def capture(self) -> DepthImage:
         """The station's frame."""
         name = f"{len(self._record['acts']):03d}.npz"
+        self._begin({"capture": None})
         try:
             image = captured(self._station.capture())
             write_depth(self._folder / name, image)
-        except (Exception, KeyboardInterrupt) as error:
+        except BaseException as error:  # sys.exit and Ctrl-C, too
             self._note({"capture": None, "error": f"{type(error).__name__}: {error}"})
             raise
         self._note({"capture": name})
@@ -63,9 +66,10 @@ class RecordingStation:
     def rotate(self, R_step: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
         """The station's move."""
         asked = np.asarray(R_step, float).tolist()
+        self._begin({"rotate": asked, "executed": None})
         try:
             done = self._station.rotate(R_step)
-        except (Exception, KeyboardInterrupt) as error:
+        except BaseException as error:
             message = f"{type(error).__name__}: {error}"
             self._note({"rotate": asked, "executed": None, "error": message, "clock_s": clock_of(self._station)})
             raise
@@ -86,14 +90,20 @@ class RecordingStation:
         self._write()
 
     def __getattr__(self, name: str) -> Any:
-        """Optional members of the station: ``clock_s``."""
+        """Optional members of the station: ``clock_s``, ``stop``."""
         if name.startswith("_"):
             raise AttributeError(name)
         return getattr(self._station, name)
 
+    def _begin(self, act: dict[str, Any]) -> None:
+        """Record an act before it is done."""
+        self._record["acts"].append(act | {"error": UNFINISHED})
+        self._write()
+
     def _note(self, act: dict[str, Any]) -> None:
+        """Record how the latest act ended."""
         json.dumps(act)  # an act that is not JSON must not be kept: the record could not be written any more
-        self._record["acts"].append(act)
+        self._record["acts"][-1] = act
         self._write()
 
     def _write(self) -> None:
@@ -106,22 +116,24 @@ class ReplayedStation:
     one has left the record, and gets a StationError."""
 
     def __init__(self, folder: str | Path) -> None:
-        """Raises ReorientError for a folder without a record, or a broken one."""
+        """Raises ReorientError for a folder without a record, a broken one, and one that names files outside it."""
         self._folder = Path(folder)
         file = self._folder / "record.json"
         if not file.is_file():
             raise ReorientError(f"no record.json in {str(folder)!r}: expected a folder of `reorient orient --record`")
         try:
             self.record = _present_form(json.loads(file.read_text()))
-            self._acts = list(self.record["acts"])
+            self._acts = [_checked(act) for act in self.record["acts"]]
             pivot = self.record["pivot_m"]
             self._pivot_m = None if pivot is None else np.array(pivot, float)
             answers = self.record.get("reachable")
-            self._answers = [(a["acts"], np.array(a["R_step"], float), bool(a["can"])) for a in answers or ()]
-        except (OSError, ValueError, KeyError, TypeError) as error:
+            self._answers = [(a["acts"], _rotation(a["R_step"]), bool(a["can"])) for a in answers or ()]
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
             raise ReorientError(
                 f"cannot read {str(file)!r} ({error}): expected a folder of `reorient orient --record`"
             ) from error
+        for act in self._acts:
+            self.file(act.get("capture") or "goal.npz")
         if answers is not None:
             self.reachable = self._reachable
         self._next = 0
@@ -134,12 +146,21 @@ class ReplayedStation:
 
     def goal(self) -> DepthImage:
         """The goal image of the record."""
-        return read_depth(self._folder / "goal.npz")
+        return read_depth(self.file("goal.npz"))
+
+    def file(self, name: str) -> Path:
+        """A file of the record. Raises ReorientError for one outside its folder, by a link, too."""
+        path = (self._folder / name).resolve()
+        if not path.is_relative_to(self._folder.resolve()):
+            raise ReorientError(
+                f"{str(self._folder)!r} names the file {name!r}, which is outside: expected files inside the record"
+            )
+        return path
 
     def capture(self) -> DepthImage:
         """The next frame of the record."""
         act = self._act("capture")
-        return read_depth(self._folder / act["capture"])
+        return read_depth(self.file(act["capture"]))
 
     def rotate(self, R_step: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
         """The recorded rotation, if this is the recorded move."""
@@ -180,6 +201,25 @@ class ReplayedStation:
         if act.get("error"):
             raise StationError(f"recorded error: {act['error']}")
         return act
+
+
+def _checked(act: Any) -> dict[str, Any]:
+    """An act of a record. Raises ValueError, TypeError, KeyError or AttributeError where it is none."""
+    float(act.get("clock_s") or 0)
+    if "rotate" in act:
+        _rotation(act["rotate"])
+        np.array(act["executed"], float)
+    elif not act.get("error") and not isinstance(act["capture"], str):
+        raise ValueError(f"a capture of {act['capture']!r}")
+    return dict(act)
+
+
+def _rotation(R: Any) -> Float[np.ndarray, "3 3"]:
+    """A rotation matrix. Raises ValueError or TypeError where it is none."""
+    matrix = np.array(R, float)
+    if not so3.is_rotation(matrix):
+        raise ValueError(f"no rotation: {R}")
+    return matrix
 
 
 def _as_list(R: Any) -> Any:

@@ -13,7 +13,6 @@ from reorient.imaging import Camera
 from reorient.world.in_hand import Hand, Range
 from reorient.world.rendering import Placement, Renderer
 
-
 _BOX = trimesh.creation.box()
 _CORNERS, _FACES = _BOX.vertices > 0, np.asarray(_BOX.faces)
 
