@@ -46,7 +46,7 @@ def teach(cell: FrankaCell, rotvec_deg: tuple[float, ...]) -> tuple[str, np.ndar
 
 
 def orient(cell: FrankaCell, goal: str) -> list[str]:
-    return ["orient", goal, "--station", str(cell.robot_file), "--record", str(cell.folder / "record")]
+    return ["orient", goal, "--station", str(cell.robot_file), "--record", str(cell.folder / "record"), "--yes"]
 
 
 def status(cell: FrankaCell) -> str:
