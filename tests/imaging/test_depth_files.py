@@ -237,12 +237,12 @@ def test_masks_are_true_where_not_zero(tmp_path, rng):
     [
         *((mode, value, ".png") for mode, value in (("1", 1), ("L", 1), ("I;16", 256), ("LA", (1, 0)), ("P", 3))),
         *(("RGB", value, ".png") for value in ((1, 0, 0), (0, 0, 4))),
-        ("RGBA", (0, 2, 0, 0), ".png"),
+        ("RGBA", (0, 2, 0, 255), ".png"),
         ("F", 0.3, ".tif"),
     ],
 )
 def test_any_colour_that_is_not_zero_is_the_object(mode, value, suffix, tmp_path):
-    """Whatever its alpha; and what is opaque alone is none."""
+    """Also where the picture has an alpha channel; what is opaque alone is none."""
     picture = Image.new(mode, (4, 3), (0, 0, 0, 255) if mode == "RGBA" else 0)
     if mode == "P":
         picture.putpalette([0, 0, 0] * 3 + [0, 0, 1])

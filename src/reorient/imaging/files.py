@@ -124,7 +124,7 @@ def write_depth(path: str | Path, image: DepthImage, scale_m: float = SCALE_M) -
 def read_mask(path: str | Path) -> np.ndarray:
     """A boolean (height, width) mask: true where the .npy array, or any colour channel of the picture, is not zero.
 
-    Of a picture with transparent pixels (a cut-out) the mask is where it is at least half opaque.
+    Of an RGBA picture with transparent pixels (a cut-out) the mask is where it is at least half opaque.
     """
     path = _existing(path, "mask")
     try:
@@ -134,8 +134,9 @@ def read_mask(path: str | Path) -> np.ndarray:
             if picture.mode != "P" and len(picture.getbands()) == 1:  # RGB would clip its numbers
                 return np.asarray(np.asarray(picture) != 0)
             rgba = np.asarray(picture.convert("RGBA"))
-            transparent = rgba[..., 3].min() == 0
-            return np.asarray(rgba[..., 3] >= 128 if transparent else rgba[..., :3].max(axis=-1) > 0)
+            opaque = rgba[..., 3] >= 128
+            is_cut_out = picture.mode == "RGBA" and opaque.any() and rgba[..., 3].min() == 0
+            return np.asarray(opaque if is_cut_out else rgba[..., :3].max(axis=-1) > 0)
     except Exception as error:
         raise ReorientError(f"cannot read mask {str(path)!r} ({error}): expected a picture or a .npy array") from error
 
