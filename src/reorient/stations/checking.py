@@ -10,7 +10,7 @@ from scipy.optimize import least_squares, minimize_scalar
 from reorient import se3, so3
 from reorient.errors import ReorientError, StationError
 from reorient.estimators import load_estimator
-from reorient.estimators.base import Estimator
+from reorient.estimators.base import Estimator, check_pair
 from reorient.imaging import DepthImage
 from reorient.perception.hand_eye import Motion, whitening
 from reorient.perception.robot_calibration import RobotCalibration
@@ -30,6 +30,9 @@ _TRIMMED = 0.8  # share of the residuals, the smallest, by which a cell is right
 _EXPLAINED_BELOW = 0.6  # mean squared residual of a mistake that explains the images, over that of the stated cell
 _LARGEST_FLANGE_M = 0.08  # distance from the calibrated place: right cells have up to 73 mm, a flange 100 mm and more
 _LEAST_STRETCH = 0.04  # of wrong intrinsics: right cells have up to 0.012 (30 tuning objects)
+_POOR_DEG, _POOR_M = 2.5, 0.002  # errors (RMS) that no mistake explains, of objects whose rotations are hard to see
+_BETTER = "check with another object too"
+_MOVED_DEG, _MOVED_M = 45.0, 0.3  # a camera that moved farther would not see the object
 _LARGEST_TOOL_M = 1.5  # no tool holds an object farther from its origin
 
 
@@ -81,7 +84,7 @@ def check(
 
 
 class _Empty(ReorientError):
-    """The isolation leaves nothing."""
+    """The isolation leaves no object."""
 
 
 def _kind_of(error: StationError) -> str:
@@ -119,11 +122,13 @@ def observe(frames: FreshFrames, arm: GuardedArm, calibration: RobotCalibration)
 
 def _isolated(frames: FreshFrames) -> DepthImage:
     try:
-        return frames.capture()
+        image = frames.capture()
+        check_pair(image, image)
     except StationError:
         raise
     except ReorientError as error:
         raise _Empty(str(error)) from error
+    return image
 
 
 def diagnose(views: Sequence[View], calibration: RobotCalibration, estimator: Estimator) -> Check:
@@ -132,26 +137,23 @@ def diagnose(views: Sequence[View], calibration: RobotCalibration, estimator: Es
     motions = [motion_between(views, i, j, estimator) for i, j in pairs]
     evidence = _Evidence.of(motions, calibration.p_tool_object_m, _center_m(views[0]))
     stated = Cell(calibration.T_base_camera, tuple(view.T_base_tool for view in views), np.eye(3))
-    rotation_deg, position_m = evidence.errors(stated)
+    errors = rotation_deg, position_m = evidence.errors(stated)
     terms = np.sort(evidence.terms(stated))
     if np.mean(terms[: int(_TRIMMED * len(terms))] ** 2) < _RIGHT_BELOW:
-        return replace(_small_mistake(evidence, stated), rotation_deg=rotation_deg, position_m=position_m)
+        return _small_mistake(evidence, stated)
     tried = [*mistakes(stated), _intrinsics(evidence, stated), _moved(evidence, stated)]
-    costs = [evidence.cost(each.cell) + _penalty(each) for each in tried]
+    costs = [evidence.cost(each.cell) + each.penalty for each in tried]
     best = tried[int(np.argmin(costs))]
     if min(costs) > _EXPLAINED_BELOW * costs[0] or not best.name:
+        if rotation_deg < _POOR_DEG and position_m < _POOR_M:
+            return Check("", f"no mistake found, with a poor estimate of this object's rotations: {_BETTER}", *errors)
         best = Mistake(
             "unknown",
             f"the object does not move as the arm states (rotations {rotation_deg:.1f} deg and displacements "
-            f"{1000 * position_m:.1f} mm off, RMS), and no known mistake explains it",
+            f"{1000 * position_m:.1f} mm off, RMS), and no known mistake explains it; {_BETTER}",
             stated,
         )
-    return Check(best.name, best.message, rotation_deg, position_m)
-
-
-def _penalty(mistake: Mistake) -> float:
-    """Mean squared residual that the free parameters of a mistake are worth."""
-    return {"camera moved": 0.5, "wrong intrinsics": 0.2, "": 0.0}.get(mistake.name, 0.1)
+    return Check(best.name, best.message, *errors)
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,18 +228,20 @@ def _center_m(view: View) -> Float[np.ndarray, "3"]:
 
 def _small_mistake(evidence: _Evidence, stated: Cell) -> Check:
     """The verdict on a cell whose rotations are right: whether the translations are, and the object's place."""
+    errors = evidence.errors(stated)
     stretched = _intrinsics(evidence, stated)
     if stretched.name and evidence.cost(stretched.cell) < _EXPLAINED_BELOW * evidence.cost(stated):
-        return Check(stretched.name, stretched.message)
+        return Check(stretched.name, stretched.message, *errors)
     away_m = stated.poses[0][:3, :3].T @ stated.T_base_camera[:3, :3] @ evidence.place_m(stated)
     distance_m = float(np.linalg.norm(away_m))
     if distance_m < _LARGEST_FLANGE_M:
-        return Check("", "axes, signs, angles and pivot are right")
+        return Check("", "axes, signs, angles and pivot are right", *errors)
     x, y, z = 1000 * away_m
     return Check(
         "flange for tool",
         f"the object is {1000 * distance_m:.0f} mm from its calibrated place in tool axes ({x:.0f}, {y:.0f}, {z:.0f} "
         "mm): does the arm report its flange instead of its tool? Or calibrate again for this grasp",
+        *errors,
     )
 
 
@@ -254,7 +258,7 @@ def _intrinsics(evidence: _Evidence, stated: Cell) -> Mistake:
     if abs(factor - 1) < _LEAST_STRETCH:
         return Mistake("", "", stated)
     message = f"wrong intrinsics: the focal lengths are {abs(factor - 1):.0%} too {'large' if factor > 1 else 'small'}"
-    return Mistake("wrong intrinsics", f"{message}; expected those of this stream and resolution", cell(factor))
+    return Mistake("wrong intrinsics", f"{message}; expected those of this stream and resolution", cell(factor), 0.2)
 
 
 def _moved(evidence: _Evidence, stated: Cell) -> Mistake:
@@ -281,4 +285,5 @@ def _moved(evidence: _Evidence, stated: Cell) -> Mistake:
         f"the camera moved since its calibration, by {angle_deg:.0f} deg (mostly about its {axis} axis) and "
         f"{1000 * shift_m:.0f} mm: calibrate again"
     )
-    return Mistake("camera moved", message, moved)
+    likely = angle_deg < _MOVED_DEG and shift_m < _MOVED_M
+    return Mistake("camera moved", message, moved, 0.5 if likely else 3.0)

@@ -39,11 +39,13 @@ class Mistake:
     message: str
     """The mistake in words, with the cure."""
     cell: Cell
+    penalty: float = 0.1
+    """Mean squared residual, in deviations, that its free parameters are worth. Not tuned."""
 
 
 def mistakes(cell: Cell) -> Iterator[Mistake]:
     """The stated cell, and it without each known mistake that has no free parameter."""
-    yield Mistake("", "", cell)
+    yield Mistake("", "", cell, penalty=0.0)
     yield from _about_axes(cell)
     yield from _about_poses(cell)
     yield from _about_the_calibration(cell)
