@@ -13,7 +13,10 @@ from reorient import se3, so3
 from reorient.errors import StationError
 from reorient.stations.arms.supervised import SupervisedArm, apart
 
-FAST = {"speed_m_s": 0.3, "speed_deg_s": 60.0, "acceleration_m_s2": 2.0, "acceleration_deg_s2": 300.0}
+FAST = {"speed_m_s": 0.3, "speed_deg_s": 60.0, "acceleration_m_s2": 2.0, "acceleration_deg_s2": 300.0} | {
+    "silent_s": 1.5,  # a busy machine may pause a peer
+    "timeout_s": 20.0,
+}
 
 MOVES = (
     ((0, 0, 0.5), (0.02, 0, 0)),
@@ -46,16 +49,22 @@ def refuses_to_move_again(arm: SupervisedArm, still: Callable[[], np.ndarray]) -
     assert close(still(), T, 1e-3, 0.5)
 
 
-def after(delay_s: float, act: Callable[[], object]) -> threading.Timer:
-    timer = threading.Timer(delay_s, act)
-    timer.start()
-    return timer
+def once_moving(still: Callable[[], np.ndarray], act: Callable[[], object], angle_deg: float = 2.0) -> None:
+    """Act as soon as the device has rotated so far, whatever the speed of this machine."""
+    start = still()
+
+    def wait() -> None:
+        while apart(still(), start)[1] < angle_deg:
+            time.sleep(0.02)
+        act()
+
+    threading.Thread(target=wait, daemon=True).start()
 
 
 def stops_on_ctrl_c(arm: SupervisedArm, goal: np.ndarray, still: Callable[[], np.ndarray]) -> None:
     """Ctrl-C in the middle of a move: the arm stops on the way, and is not moved again."""
     start = still()
-    after(0.7, lambda: os.kill(os.getpid(), signal.SIGINT))
+    once_moving(still, lambda: os.kill(os.getpid(), signal.SIGINT))
     with pytest.raises(KeyboardInterrupt):
         arm.move_to(goal)
     time.sleep(0.7)

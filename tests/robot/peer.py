@@ -1,6 +1,7 @@
 """A simulated device in a process of its own, as a real one is: it can be asked, and killed."""
 
 import multiprocessing
+import threading
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,14 +15,16 @@ class Peer:
     def __init__(self, main: Callable[..., None], *arguments: Any) -> None:
         context = multiprocessing.get_context("spawn")
         self._connection, theirs = context.Pipe()
+        self._lock = threading.Lock()
         self.process = context.Process(target=_run, args=(main, theirs, *arguments), daemon=True)
         self.process.start()
         theirs.close()
         self.address: Any = self._answer()
 
     def ask(self, *question: Any) -> Any:
-        self._connection.send(question)
-        return self._answer()
+        with self._lock:
+            self._connection.send(question)
+            return self._answer()
 
     def kill(self) -> None:
         self.process.kill()

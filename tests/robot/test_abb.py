@@ -87,7 +87,7 @@ def test_the_commanded_poses_keep_the_limits(controller, connect):
 )
 def test_a_stop_of_the_controller_in_a_move(controller, connect, field, message):
     arm = connect(speed_deg_s=20.0)
-    motions.after(0.7, lambda: controller.ask("set", field, False))
+    motions.once_moving(lambda: truth(controller), lambda: controller.ask("set", field, False))
     with pytest.raises(StationError, match=message):
         arm.move_to(motions.moved(arm.pose(), (0, 0, 0.8)))
     controller.ask("set", field, True)  # started again by the operator: the arm stays
@@ -113,14 +113,14 @@ def test_ctrl_c_stops_the_arm(controller, connect):
 
 def test_a_blocked_arm_does_not_reach_its_pose(controller, connect):
     arm = connect(speed_deg_s=40.0)
-    motions.after(0.5, lambda: controller.ask("set", "following", False))
+    motions.once_moving(lambda: truth(controller), lambda: controller.ask("set", "following", False))
     with pytest.raises(StationError, match=r"pose not reached: at rest .* deg from it"):
         arm.move_to(motions.moved(arm.pose(), (0, 0, 0.5)))
 
 
 def test_a_controller_that_dies_in_a_move(controller, connect):
     arm = connect(speed_deg_s=20.0)
-    motions.after(0.7, controller.kill)
+    motions.once_moving(lambda: truth(controller), controller.kill)
     with pytest.raises(StationError, match="connection to the controller lost"):
         arm.move_to(motions.moved(arm.pose(), (0, 0, 0.8)))
 

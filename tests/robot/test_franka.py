@@ -82,7 +82,7 @@ def test_ctrl_c_stops_the_arm(controller):
 
 def test_a_reflex_of_the_controller(controller):
     arm = connect(controller, speed_deg_s=20.0)
-    motions.after(0.7, lambda: controller.ask("reflex"))
+    motions.once_moving(lambda: hand(controller), lambda: controller.ask("reflex"))
     with pytest.raises(StationError, match=r"the controller of .* stopped the arm: .*[Rr]eflex"):
         arm.move_to(motions.moved(arm.pose(), (0, 0, 0.8)))
     motions.refuses_to_move_again(arm, lambda: hand(controller))
@@ -90,7 +90,7 @@ def test_a_reflex_of_the_controller(controller):
 
 def test_a_controller_that_dies_in_a_move(controller):
     arm = connect(controller, speed_deg_s=20.0)
-    motions.after(0.7, controller.kill)
+    motions.once_moving(lambda: hand(controller), controller.kill)
     with pytest.raises(StationError, match="connection to the Franka at .* lost") as error:
         arm.move_to(motions.moved(arm.pose(), (0, 0, 0.8)))
     assert "\n" not in str(error.value)

@@ -70,17 +70,17 @@ def test_nothing_is_published_at_rest(controller, connect):
 
 
 @pytest.mark.parametrize(
-    ("act", "message"),
+    ("acts", "message"),
     [
-        (("set", "publishing", False), "no pose on current_pose in the last 0.5 s"),
-        (("deaf",), "nobody listens on target_frame"),
-        (("rival",), "1 other programs publish on target_frame"),
-        (("set", "pos", np.array([0.7, 0, 0.4])), "the measured pose jumped by"),
+        ([("set", "publishing", False)], "no pose on current_pose in the last 1.5 s"),
+        ([("deaf",)], "nobody listens on target_frame"),
+        ([("rival",)], "1 other programs publish on target_frame"),
+        ([("set", "following", False), ("set", "pos", np.array([0.8, 0, 0.4]))], "the measured pose jumped by"),
     ],
 )
-def test_an_error_in_a_move(controller, connect, act, message):
+def test_an_error_in_a_move(controller, connect, acts, message):
     arm = connect(speed_deg_s=20.0)
-    motions.after(0.7, lambda: controller.ask(*act))
+    motions.once_moving(lambda: truth(controller), lambda: [controller.ask(*each) for each in acts])
     with pytest.raises(StationError, match=message):
         arm.move_to(motions.moved(arm.pose(), (0, 0, 0.8)))
     motions.refuses_to_move_again(arm, lambda: truth(controller))
@@ -93,14 +93,14 @@ def test_ctrl_c_stops_the_arm(controller, connect):
 
 def test_a_blocked_arm_does_not_reach_its_pose(controller, connect):
     arm = connect(speed_deg_s=40.0)
-    motions.after(0.5, lambda: controller.ask("set", "following", False))
+    motions.once_moving(lambda: truth(controller), lambda: controller.ask("set", "following", False))
     with pytest.raises(StationError, match=r"pose not reached: at rest .* deg from it"):
         arm.move_to(motions.moved(arm.pose(), (0, 0, 0.5)))
 
 
 def test_a_controller_that_dies_in_a_move(controller, connect):
     arm = connect(speed_deg_s=20.0)
-    motions.after(0.7, controller.kill)
+    motions.once_moving(lambda: truth(controller), controller.kill)
     with pytest.raises(StationError, match="no pose on current_pose"):
         arm.move_to(motions.moved(arm.pose(), (0, 0, 0.8)))
 

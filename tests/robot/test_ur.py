@@ -62,7 +62,7 @@ def test_a_program_is_one_movel_within_the_limits(controller):
 )
 def test_a_stop_of_the_controller_in_a_move(controller, bit, message):
     arm = connect(controller, speed_deg_s=20.0)
-    motions.after(0.7, lambda: controller.ask("safety", bit))
+    motions.once_moving(lambda: truth(controller), lambda: controller.ask("safety", bit))
     with pytest.raises(StationError, match=message):
         arm.move_to(motions.moved(arm.pose(), (0, 0, 0.8)))
     motions.refuses_to_move_again(arm, lambda: truth(controller))
@@ -73,7 +73,7 @@ def test_a_stop_of_the_controller_in_a_move(controller, bit, message):
 
 def test_a_pause_at_the_pendant(controller):
     arm = connect(controller, speed_deg_s=20.0)
-    motions.after(0.7, lambda: controller.ask("set", "runtime_state", 4))
+    motions.once_moving(lambda: truth(controller), lambda: controller.ask("set", "runtime_state", 4))
     with pytest.raises(StationError, match="paused at the pendant"):
         arm.move_to(motions.moved(arm.pose(), (0, 0, 0.8)))
     assert told_to_stop(controller)
@@ -96,7 +96,7 @@ def test_a_move_that_is_not_finished_in_time_is_stopped(controller):
 
 def test_a_controller_that_dies_in_a_move(controller):
     arm = connect(controller, speed_deg_s=20.0)
-    motions.after(0.7, controller.kill)
+    motions.once_moving(lambda: truth(controller), controller.kill)
     with pytest.raises(StationError, match="connection to the controller at 127.0.0.1 lost"):
         arm.move_to(motions.moved(arm.pose(), (0, 0, 0.8)))
     assert "stopping failed, too" in arm.failure
@@ -105,7 +105,7 @@ def test_a_controller_that_dies_in_a_move(controller):
 def test_a_network_that_goes_silent_in_a_move(controller):
     """The state stops, the script port still answers: the arm is told to stop."""
     arm = connect(controller, speed_deg_s=20.0)
-    motions.after(0.7, lambda: controller.ask("silent"))
+    motions.once_moving(lambda: truth(controller), lambda: controller.ask("silent"))
     with pytest.raises(StationError, match="connection to the controller at 127.0.0.1 lost: no state"):
         arm.move_to(motions.moved(arm.pose(), (0, 0, 0.8)))
     assert told_to_stop(controller)
@@ -124,7 +124,7 @@ def test_another_program_on_the_controller(controller):
 def test_another_client_that_takes_over_in_a_move(controller):
     arm, other = connect(controller, speed_deg_s=20.0), connect(controller)
     elsewhere = motions.moved(arm.pose(), (0, 0, -0.3))
-    motions.after(0.7, lambda: other._send("stopl(1)") or other.move_to(elsewhere))
+    motions.once_moving(lambda: truth(controller), lambda: other._send("stopl(1)") or other.move_to(elsewhere))
     with pytest.raises(StationError, match=r"pose not reached: at rest .* another program|another program runs"):
         arm.move_to(motions.moved(arm.pose(), (0, 0, 0.8)))
 
@@ -132,7 +132,9 @@ def test_another_client_that_takes_over_in_a_move(controller):
 def test_a_pose_that_jumps(controller):
     arm = connect(controller, speed_deg_s=20.0)
     elsewhere = motions.moved(truth(controller), (0, 0, 0), (0.2, 0, 0))
-    motions.after(0.7, lambda: (controller.ask("set", "path", None), controller.ask("set", "T", elsewhere)))
+    motions.once_moving(
+        lambda: truth(controller), lambda: (controller.ask("set", "path", None), controller.ask("set", "T", elsewhere))
+    )
     with pytest.raises(StationError, match="the measured pose jumped by"):
         arm.move_to(motions.moved(arm.pose(), (0, 0, 0.8)))
     motions.refuses_to_move_again(arm, lambda: truth(controller))

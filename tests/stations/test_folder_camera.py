@@ -35,6 +35,9 @@ def test_only_a_frame_that_arrives_after_the_call_is_returned(tmp_path):
     image = camera.capture()
     assert middle(image) == pytest.approx(0.6)
     assert image.stamp_s == 2.0
+    assert np.isnan(camera.clock_s())  # the stamps' clock is not known
+    camera.host_clock = True
+    assert camera.clock_s() == pytest.approx(time.time(), abs=1)
     later(lambda: write_depth(tmp_path / "b.npz", frame(0.7, 3.0)))
     assert middle(camera.capture()) == pytest.approx(0.7)
 
@@ -46,7 +49,7 @@ def test_a_file_that_is_overwritten(tmp_path):
     later(lambda: write_depth(tmp_path / "latest.npz", frame(0.6)))
     image = camera.capture()
     assert middle(image) == pytest.approx(0.6)
-    assert before_s <= image.stamp_s <= time.time()
+    assert before_s <= image.stamp_s <= camera.clock_s()
 
 
 def test_raw_pictures_with_intrinsics_and_a_scale(tmp_path):

@@ -109,6 +109,14 @@ def test_a_failed_move_stops_the_arm_for_good(fault, message):
     assert arm.current is None
 
 
+@pytest.mark.parametrize("T", [np.full((4, 4), np.nan), 2 * np.eye(4), pose(t_m=(np.inf, 0, 0))])
+def test_no_pose_is_refused_before_the_arm_moves(T):
+    arm = NumbersArm(**FAST)
+    with pytest.raises(StationError, match="refused to move: expected T_base_tool"):
+        arm.move_to(T)
+    assert (arm.current, arm.stops, arm.failure) == (None, 0, "")
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [

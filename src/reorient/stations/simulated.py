@@ -22,7 +22,7 @@ from reorient.world.rendering import Placement, Renderer
 from reorient.world.sensing import Sensor, randomised, sense
 
 CAMERA = Camera(320, 240, 331.0, 331.0, 160.0, 120.0)
-_HOME_M = np.array([0.45, 0.1, 0.4])  # of the held object in base axes
+HOME_M = np.array([0.45, 0.1, 0.4])  # of the held object in base axes
 _REACH_M = 0.9  # from the base to the tool
 _DISTANCE_M = (0.55, 0.7)  # from the camera to the object
 _LARGEST_OFFSET_M = 0.03  # of the object's centre from the tool's origin, along each axis
@@ -53,7 +53,7 @@ class SimulatedCell:
         self.camera = CAMERA
         R_tool, R_object = so3.sample_uniform(rng, 2)
         self.T_tool_object = se3.transform(R_object, rng.uniform(-1, 1, 3) * _LARGEST_OFFSET_M)
-        self.T_base_tool = se3.transform(R_tool, _HOME_M - R_tool @ self.T_tool_object[:3, 3])
+        self.T_base_tool = se3.transform(R_tool, HOME_M - R_tool @ self.T_tool_object[:3, 3])
         self.T_base_camera = _mounting(rng)
         self.repeatability = repeatability
 
@@ -81,7 +81,7 @@ class SimulatedCell:
         """Depth of the table, with noise."""
         up = self.T_base_camera[2]
         with np.errstate(divide="ignore"):
-            depth_m = (_HOME_M[2] + _TABLE_M - up[3]) / (self.camera.rays() @ up[:3])
+            depth_m = (HOME_M[2] + _TABLE_M - up[3]) / (self.camera.rays() @ up[:3])
         noise_m = self.rng.normal(0, self.sensor.noise_m, depth_m.shape) if self.sensor.noise_m else 0.0
         return np.where((depth_m > 0) & (depth_m < 2), depth_m + noise_m, 0).astype(np.float32)
 
@@ -93,7 +93,7 @@ def _mounting(rng: Generator) -> Transform:
     x = np.cross(z, so3.sample_axes(rng, 1)[0])
     x /= np.linalg.norm(x)
     R = np.stack([x, np.cross(z, x), z], axis=1) @ so3.exp(rng.uniform(-1, 1, 3) * np.radians(4))
-    return se3.transform(R, _HOME_M - rng.uniform(*_DISTANCE_M) * z)
+    return se3.transform(R, HOME_M - rng.uniform(*_DISTANCE_M) * z)
 
 
 @cache

@@ -13,8 +13,6 @@ from reorient.plugins import import_extra
 from reorient.se3 import Transform
 from reorient.stations.arms.supervised import StraightPath, SupervisedArm
 
-_SILENT_S = 0.2  # without a message, of which there are 250 a second: the connection is lost
-
 
 @dataclass(kw_only=True, eq=False)
 class AbbArm(SupervisedArm):
@@ -47,22 +45,17 @@ class AbbArm(SupervisedArm):
         self._closed = Event()
         self._thread = Thread(target=self._answer, daemon=True)
         self._thread.start()
-        deadline_s = time.monotonic() + self.timeout_s
-        while self._state is None:
-            if time.monotonic() > deadline_s:
-                self.close()
-                raise StationError(
-                    f"no message at UDP port {self.port} within {self.timeout_s:g} s: expected a controller that runs "
-                    "EGMRunPose and sends to this computer"
-                )
-            time.sleep(0.01)
-        self.pose()
+        try:
+            self._await_controller()
+        except BaseException:
+            self.close()
+            raise
 
     def pose(self) -> Transform:
         """The measured pose of the tool, T_base_tool. Raises StationError as the class describes."""
         with self._lock:
             state = self._state
-        if state is None or time.monotonic() - state[2] > _SILENT_S:
+        if state is None or time.monotonic() - state[2] > self.silent_s:
             raise StationError(f"connection to the controller lost: no message at UDP port {self.port}")
         T, message, _ = state
         if not (message.motors_on and message.rapid_running):
@@ -86,6 +79,17 @@ class AbbArm(SupervisedArm):
         self._closed.set()
         self._thread.join()
         self._egm.close()
+
+    def _await_controller(self) -> None:
+        deadline_s = time.monotonic() + self.timeout_s
+        while self._state is None:
+            if time.monotonic() > deadline_s:
+                raise StationError(
+                    f"no message at UDP port {self.port} within {self.timeout_s:g} s: expected a controller that runs "
+                    "EGMRunPose and sends to this computer"
+                )
+            time.sleep(0.01)
+        self.pose()
 
     def _begin(self, path: StraightPath) -> None:
         with self._lock:
@@ -111,7 +115,7 @@ class AbbArm(SupervisedArm):
         T, now_s = from_egm(*message.cartesian), time.monotonic()
         with self._lock:
             guided = message.robot_message.mciState.state == message.robot_message.mciState.MCI_RUNNING
-            if self._state is None or now_s - self._state[2] > _SILENT_S or not guided:
+            if self._state is None or now_s - self._state[2] > self.silent_s or not guided:
                 self._hold, self._path = T, None  # it starts anew: an old pose would make it jump
             self._state = (T, message, now_s)
             if self._path is not None:

@@ -88,6 +88,10 @@ class FrankaArm(SupervisedArm):
             self._robot.stop()
             self._robot.join_motion(self.timeout_s)
 
+    def close(self) -> None:
+        """Disconnect: the controller accepts another client."""
+        self._robot = None
+
     def _begin(self, path: StraightPath) -> None:
         motion = self._franky.CartesianMotion(self._franky.Affine(path.T_end))
         self._asked(lambda: self._robot.move(motion, asynchronous=True))

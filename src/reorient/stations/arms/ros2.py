@@ -13,8 +13,6 @@ from reorient.se3 import Transform
 from reorient.stations.arms.supervised import StraightPath, SupervisedArm
 from reorient.stations.ros2_node import Ros2Node
 
-_SILENT_S = 0.5  # without a pose: the connection is lost
-
 
 @dataclass(kw_only=True, eq=False)
 class Ros2Arm(SupervisedArm):
@@ -54,12 +52,12 @@ class Ros2Arm(SupervisedArm):
             raise
 
     def pose(self) -> Transform:
-        """The measured pose of the tool, T_base_tool. Raises StationError where none arrived in the last 0.5 s."""
+        """The measured pose of the tool, T_base_tool. Raises StationError where none arrived for ``silent_s``."""
         with self._lock:
             pose = self._pose
-        if pose is None or time.monotonic() - pose[2] > _SILENT_S:
+        if pose is None or time.monotonic() - pose[2] > self.silent_s:
             raise StationError(
-                f"no pose on {self.pose_topic} in the last {_SILENT_S} s: connection lost, or controller stopped"
+                f"no pose on {self.pose_topic} in the last {self.silent_s:g} s: connection lost, or controller stopped"
             )
         return pose[0]
 

@@ -66,13 +66,15 @@ class SupervisedArm(ABC):
     """Largest angle of the tool at rest from the commanded orientation. Not tuned."""
     timeout_s: float = 5.0
     """A move that lasts so much longer than planned is stopped; also the longest wait for a connection."""
+    silent_s: float = 0.5
+    """Without a new state from the controller for so long, the connection is lost. Not tuned."""
     failure: str = field(default="", init=False)
     """Why no further move is commanded; empty where one may be."""
 
     def __post_init__(self) -> None:
         check_range(self, "speed_m_s", high=1.0, above=True)
         check_range(self, "speed_deg_s", high=180.0, above=True)
-        check_range(self, "acceleration_m_s2", "acceleration_deg_s2", "timeout_s", above=True)
+        check_range(self, "acceleration_m_s2", "acceleration_deg_s2", "timeout_s", "silent_s", above=True)
         check_range(self, "tolerance_m", "tolerance_deg", above=True)
 
     @abstractmethod
@@ -101,9 +103,11 @@ class SupervisedArm(ABC):
         """
         if self.failure:
             raise StationError(f"the arm is not moved again after: {self.failure}; expected a new driver")
+        T_end = np.asarray(T_base_tool, float)
+        if T_end.shape != (4, 4) or not np.isfinite(T_end).all() or not so3.is_rotation(T_end[:3, :3]):
+            raise StationError("refused to move: expected T_base_tool, a rigid (4, 4) transform in metres")
         try:
-            T_start = self.pose()
-            path = self.path(T_start, np.asarray(T_base_tool, float))
+            path = self.path(self.pose(), T_end)
             self._begin(path)
             return self._arrived(path)
         except BaseException as error:

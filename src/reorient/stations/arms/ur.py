@@ -21,7 +21,6 @@ _SAFETY_STOPS = {  # of safety_status_bits
     **{5: "emergency stop", 6: "emergency stop", 7: "emergency stop", 10: "stop due to safety"},
 }
 _STOPPED, _PLAYING = 1, 2  # of runtime_state
-_SILENT_S = 0.5  # without a new state: the connection is lost
 _STOP_M_S2 = 1.0
 
 
@@ -61,6 +60,10 @@ class UrArm(SupervisedArm):
         """Stop the arm: a program of one ``stopl`` replaces the one that runs."""
         self._send(f"stopl({_STOP_M_S2})")
 
+    def close(self) -> None:
+        """Disconnect."""
+        self._rtde.disconnect()
+
     def _begin(self, path: StraightPath) -> None:
         if (state := self._rtde.getRuntimeState()) != _STOPPED:
             raise StationError(
@@ -89,10 +92,12 @@ class UrArm(SupervisedArm):
 
     def _await_state(self) -> None:
         """Wait for the next state of the controller, at most 8 ms. Raises StationError where none comes."""
-        stamp, deadline_s = self._rtde.getTimestamp(), time.monotonic() + _SILENT_S
+        stamp, deadline_s = self._rtde.getTimestamp(), time.monotonic() + self.silent_s
         while self._rtde.getTimestamp() == stamp:
             if not self._rtde.isConnected() or time.monotonic() > deadline_s:
-                raise StationError(f"connection to the controller at {self.address} lost: no state for {_SILENT_S} s")
+                raise StationError(
+                    f"connection to the controller at {self.address} lost: no state for {self.silent_s:g} s"
+                )
             time.sleep(0.002)
 
     def _check_safety(self) -> None:

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from reorient.errors import ReorientError, StationError, check_range
 from reorient.imaging import Camera, DepthImage
-from reorient.imaging.files import SUFFIXES, read_camera, read_depth
+from reorient.imaging.depth_arrays import READERS
+from reorient.imaging.files import read_camera, read_depth
 
 _POLL_S = 0.02
 Seen = dict[Path, tuple[int, int]]
@@ -29,6 +30,9 @@ class FolderCamera:
     """File of the intrinsics (JSON); needed unless the frames contain theirs."""
     scale_m: float | None = None
     """Metres per unit of integer depth; None: as the file states, or 0.001."""
+    host_clock: bool = False
+    """Whether the frames' own stamps are of this computer's clock (time.time), as the times of last change are: then
+    frames from before the end of a move are known for certain."""
     timeout_s: float = 5.0
     """Longest wait for a frame."""
 
@@ -39,6 +43,7 @@ class FolderCamera:
         self._folder, self._pattern = (path, "*") if path.is_dir() else (path.parent, path.name)
         if not self._folder.is_dir():
             raise ReorientError(f"no folder {str(self._folder)!r}: expected a folder, or a pattern of files in one")
+        self._own_stamps = False
         self._camera: Camera | None = read_camera(self.camera) if self.camera else None
 
     def capture(self) -> DepthImage:
@@ -55,8 +60,12 @@ class FolderCamera:
             time.sleep(_POLL_S)
         raise StationError(
             f"no new frame in {self._folder / self._pattern} within {self.timeout_s:g} s ({problem}): expected files "
-            f"{', '.join(SUFFIXES)} that the camera's software writes continuously"
+            f"{', '.join(READERS)} that the camera's software writes continuously"
         )
+
+    def clock_s(self) -> float:
+        """The clock of the stamps; NaN where it is another than this computer's."""
+        return float("nan") if self._own_stamps and not self.host_clock else time.time()
 
     def _settled(self, deadline_s: float) -> Seen:
         """The present files, once none of them is being written: that frame was captured before the call."""
@@ -78,7 +87,7 @@ class FolderCamera:
     def _files(self) -> Seen:
         found: Seen = {}
         for path in self._folder.glob(self._pattern):
-            if path.suffix.lower() in SUFFIXES:
+            if path.suffix.lower() in READERS:
                 try:
                     state = path.stat()
                 except OSError:  # removed or renamed in the meantime
@@ -89,5 +98,6 @@ class FolderCamera:
     def _read(self, path: Path) -> DepthImage:
         changed_s = path.stat().st_mtime
         image = read_depth(path, self._camera, self.scale_m)
+        self._own_stamps = image.stamp_s is not None
         stamp_s = changed_s if image.stamp_s is None else image.stamp_s
         return DepthImage(image.depth_m, image.camera, stamp_s, unknown=~image.valid)
