@@ -68,8 +68,8 @@ def read_depth(path: str | Path, camera: CameraChoice = None, scale_m: float | N
 def read_mask(path: str | Path, camera: CameraChoice = None) -> np.ndarray:
     """A boolean (height, width) mask: true where the .npy array, or any colour channel of the picture, is not zero.
 
-    Of an RGBA picture with transparent pixels (a cut-out) the mask is where it is at least half opaque. ``camera``: that of
-    its depth image. Where it is a file with lens distortion, the mask is undistorted in the same way. Raises
+    Of an RGBA picture with transparent pixels (a cut-out) it is where the picture is at least half opaque. ``camera``:
+    that of its depth image. Where it is a file with lens distortion, the mask is undistorted in the same way. Raises
     ReorientError for a missing or broken file.
     """
     path = existing(path, "mask")
