@@ -349,7 +349,9 @@ def test_a_failed_capture_leaves_the_old_goal(capsys, tmp_path, monkeypatch):
         capsys, "capture", goal, "--station", "broken_cell:Wordy"
     )
     assert "cannot make station" in refused(capsys, "capture", goal, "--station", "nowhere:Cell")
-    assert "expected 'rendered' or my_module:MyStation" in refused(capsys, "capture", goal, "--station", "rendred")
+    assert "expected 'rendered', a robot.toml or my_module:MyStation" in refused(
+        capsys, "capture", goal, "--station", "rendred"
+    )
     assert "expected an existing folder" in refused(capsys, "capture", tmp_path / "none" / "goal.npz")
 
 

@@ -157,7 +157,7 @@ def test_no_station_is_no_simulator(folder, capsys):
     code, _, err = ended(capsys, "orient", "goal.npz")
     assert (code, err) == (
         2,
-        "reorient: --station is missing: expected my_module:MyStation, or 'rendered' for the simulator\n",
+        "reorient: --station is missing: expected a robot.toml, my_module:MyStation, or 'rendered' for the simulator\n",
     )
 
 

@@ -191,7 +191,7 @@ def test_perturb_and_select_never_lowers_the_score(mesh, rng):
 def test_the_most_probable_hypothesis_is_the_truth(mesh):
     pair = pair_of(mesh, 2, 60)
     problem = build_problem(pair.current, pair.goal, pair.pivot_m)
-    hypotheses = search(problem, EFFORTS["fast"])
+    hypotheses = search(problem, EFFORTS["fast"]).hypotheses
     values = features(problem, hypotheses)
     assert values.shape == (len(hypotheses), len(FEATURES))
     assert np.all(np.isfinite(values))

@@ -33,7 +33,7 @@ class BopChoice:
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Measure the errors of estimators on simulated pairs of images, or on views of a BOP dataset.
+    """Measure the errors of estimators on simulated pairs, or on a BOP dataset.
 
     An interrupted run continues where it stopped.
 

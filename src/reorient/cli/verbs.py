@@ -49,7 +49,7 @@ GROUPS = {
     "measure": {
         "evaluate": Verb(
             "evaluating:Evaluate",
-            "Measure the errors of estimators on simulated pairs of images, or on views of a BOP dataset.",
+            "Measure the errors of estimators on simulated pairs, or on a BOP dataset.",
         ),
         "report": Verb("evaluating:Report", "Write an HTML page of an evaluation."),
         "loops": Verb("loops:Loops", "Measure closed loops at simulated stations."),

@@ -26,7 +26,7 @@ from reorient.runs.pool import Pool
 DISTINCT_RAD = np.radians(12)  # two hypotheses closer than this are one answer
 ALTERNATIVE_ABOVE = 0.25  # of the answer's probability: a less likely hypothesis is no alternative
 SURE = 0.9  # probability above which a known pivot is not doubted
-CONTRADICTED2 = 9.0  # squared Mahalanobis distance of a motion from leaving the pivot in place that contradicts it
+CONTRADICTED2 = 5.0  # squared Mahalanobis distance of a motion from leaving the pivot in place that contradicts it
 DOUBTED = 0.49  # largest confidence of an answer that part of the image contradicts
 LEAST_COVISIBLE, UNSUPPORTED = 0.05, 0.1  # with a smaller co-visible inlier ratio the confidence is at most the latter
 

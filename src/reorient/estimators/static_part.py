@@ -19,7 +19,9 @@ class Settings:
     """Shares are of the returns of an image."""
 
     unexplained: float = 0.06
-    """A motion that contradicts fewer returns has explained the images; a smaller static part is none."""
+    """A motion that contradicts fewer returns has explained the images."""
+    least: float = 0.1
+    """A smaller static part is none."""
     tolerance: float = INLIER_TOLERANCE
     """Depth difference of returns that agree, relative to the object diameter."""
     smallest: float = 0.02
@@ -70,7 +72,7 @@ def find_static_part(
         return None
     static = [each.contradicted_regions if contradicted and not still_answer else each.regions for each in compared]
     share = float(np.mean([each.share(mask) for each, mask in zip(compared, static, strict=True)]))
-    return StaticPart(share, still_answer, _without(problem, static)) if share >= SETTINGS.unexplained else None
+    return StaticPart(share, still_answer, _without(problem, static)) if share >= SETTINGS.least else None
 
 
 class _Compared:
