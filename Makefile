@@ -2,13 +2,16 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo demo-cell test test-train test-cell test-peers test-robot lint clean
+.PHONY: demo demo-cell test test-slow test-train test-cell test-peers test-robot lint clean
 
 demo: .venv/base
 	$(BIN)/reorient demo --out out/demo
 
 test: .venv/dev
-	$(BIN)/pytest -n auto
+	$(BIN)/pytest -n auto -m "not slow"
+
+test-slow: .venv/dev
+	$(BIN)/pytest -n auto -m slow
 
 test-train: .venv/train
 	$(BIN)/pytest tests/train

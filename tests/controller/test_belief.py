@@ -145,6 +145,7 @@ def test_history_takes_earlier_images_to_now(mesh):
     assert [image for image, _ in history_of([*steps, lost, steps[0]])] == [steps[0].image]
 
 
+@pytest.mark.slow
 def test_tests_of_a_loop_are_linear_in_its_images():
     """One arrival test an image at most, and one set of flips a viewpoint."""
     mesh, flip = lying_box()
@@ -163,6 +164,7 @@ def test_tests_of_a_loop_are_linear_in_its_images():
     assert {id(image) for image in calls} <= {id(step.image) for step in result.steps}
 
 
+@pytest.mark.slow
 def test_nothing_of_a_finished_loop_stays_alive():
     mesh, flip = lying_box()
     station, goal, R_goal = cell(mesh, 170.0, seed=3, noise_m=0.001)

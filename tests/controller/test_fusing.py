@@ -33,6 +33,7 @@ def test_one_full_move_three_observations_and_done(mesh):
     assert all(step.message for step in result.steps)
 
 
+@pytest.mark.slow
 def test_averaging_beats_single_estimates(mesh):
     ends = []
     for seed in range(6):
@@ -65,6 +66,7 @@ def test_what_never_matches_ends_unsure(mesh):
     assert result.moves <= Fusing().max_moves
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("knob", "status"), [(0.0, "converged"), (0.15, "unsure")])
 def test_other_views_decide_whether_equal_orientations_are_one(knob, status):
     """A symmetric object has arrived; one that only appears so from the goal's side may not have."""
@@ -188,6 +190,7 @@ def test_each_fault_is_survived(mesh, kind):
         assert bool(result.errors) == (kind not in ("slip", "partly"))
 
 
+@pytest.mark.slow
 def test_random_faults_never_hang_and_never_deceive(mesh):
     converged = 0
     for seed in range(12):

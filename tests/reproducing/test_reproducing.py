@@ -220,6 +220,7 @@ def test_best_worst(setting):
     assert "none of its 6 numbers has an interval" in verdicts(figure, findings[:6], folder, folder)[0]
 
 
+@pytest.mark.slow
 def test_controller_whole_and_quick(setting):
     figure = Controller(estimators=("gicp",), objects=3, trials=2)
     folder, findings, written = made(figure, setting)
@@ -257,6 +258,7 @@ def test_a_part_that_differs_does_not_hold(tmp_path):
     assert differing[0].startswith("  differs: gicp: median final error: 10.")
 
 
+@pytest.mark.slow
 def test_sweeps_end_to_end(setting):
     few = {name: replace(sweep, conditions=dict(list(sweep.conditions.items())[:2])) for name, sweep in SWEEPS.items()}
     folder, findings, written = made(SweepFigure(pairs=3, sweeps=few), setting)

@@ -50,6 +50,7 @@ def same(one, other):
                 np.testing.assert_array_equal(x, y)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("strategy", [Fusing(), Algorithm1(eta=0.7)])
 def test_a_replay_decides_as_the_loop_did(tmp_path, station, strategy):
     goal = station.capture_goal()
@@ -128,6 +129,7 @@ class Narrow:
         return np.bool_(so3.angle(R_step) < np.radians(20))
 
 
+@pytest.mark.slow
 def test_what_can_be_reached_is_replayed_too(tmp_path, station):
     goal = station.capture_goal()
     recording = RecordingStation(Narrow(station), tmp_path / "record", goal, {})
@@ -144,6 +146,7 @@ def test_what_can_be_reached_is_replayed_too(tmp_path, station):
     assert not hasattr(ReplayedStation(tmp_path / "other"), "reachable")
 
 
+@pytest.mark.slow
 def test_odd_clocks_and_values_do_not_spoil_a_record(tmp_path, station, unchecked):
     def broken():
         raise OSError("no clock")
