@@ -2,6 +2,7 @@
 
 import csv
 import gzip
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -118,7 +119,7 @@ def test_an_estimator_that_refuses_has_answered_nothing(tmp_path):
     config = Evaluation(ObjectSource(count=1), ("dark",), ranges_deg=((10, 20),), noise_mm=(0.0,), pairs=1)
     list(evaluate(config, tmp_path / "run", own={"dark": Fixed(None)}))
     (row,) = rows_of(tmp_path / "run")
-    assert row["message"].startswith("too dark [")
+    assert re.fullmatch(r"too dark \[\S*test_evaluation\.py, line \d+\]", row["message"])
     assert float(row["error_deg"]) == pytest.approx(float(row["angle_deg"]), abs=1e-3)
 
 

@@ -234,7 +234,7 @@ from reorient.learning.recipes import load_preset
 from reorient.learning.training import train
 
 torch.set_num_threads(1)
-config = replace(load_preset("debug"), batch=int(sys.argv[3]), epochs=3, lr=1e-3, loss="mean", dropout=0.0)
+config = replace(load_preset("debug"), batch=int(sys.argv[3]), epochs=3, lr=3e-4, loss="mean", dropout=0.0)
 for _ in train(config, sys.argv[1], Path(sys.argv[2])):
     pass
 """
@@ -249,6 +249,5 @@ def test_two_processes_follow_the_loss_curve_of_one_with_the_double_batch(small_
     subprocess.run([*launch, tmp_path / "two.py", small_set, tmp_path / "two", "4"], check=True)
     one, two = ([float(row["loss"]) for row in rows(tmp_path / name)] for name in ("one", "two"))
     assert len(one) == len(two) == 3
-    assert two[0] == pytest.approx(one[0], rel=0.35)
-    np.testing.assert_allclose(np.log(two), np.log(one), atol=1)  # later ones scatter: the set is tiny
+    assert two == pytest.approx(one, rel=0.35)
     assert [row["pairs"] for row in rows(tmp_path / "one")] == [row["pairs"] for row in rows(tmp_path / "two")]
