@@ -39,7 +39,7 @@ def main(connection: Connection, domain: int) -> None:
             (robot if arguments[0] in robot else state)[arguments[0]] = arguments[1]
         elif what == "deaf":
             node.destroy_subscription(subscription)
-        elif what == "rival":
+        elif what == "other_publisher":
             node.create_publisher(PoseStamped, "target_frame", 1)
         connection.send((len(commands), read(commands[-1])) if what == "commands" else (robot["pos"], robot["quat"]))
 

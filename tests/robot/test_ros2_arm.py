@@ -74,7 +74,7 @@ def test_nothing_is_published_at_rest(controller, connect):
     [
         ([("set", "publishing", False)], "no pose on current_pose in the last 1.5 s"),
         ([("deaf",)], "nobody listens on target_frame"),
-        ([("rival",)], "1 other programs publish on target_frame"),
+        ([("other_publisher",)], "1 other programs publish on target_frame"),
         ([("set", "following", False), ("set", "pos", np.array([0.8, 0, 0.4]))], "the measured pose jumped by"),
     ],
 )

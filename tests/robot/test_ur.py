@@ -103,7 +103,7 @@ def test_a_controller_that_dies_in_a_move(controller):
 
 
 def test_a_network_that_goes_silent_in_a_move(controller):
-    """The state stops, the script port still answers: the arm is told to stop."""
+    """The state stops, the script port still answers: the driver stops the arm."""
     arm = connect(controller, speed_deg_s=20.0)
     motions.once_moving(lambda: truth(controller), lambda: controller.ask("silent"))
     with pytest.raises(StationError, match="connection to the controller at 127.0.0.1 lost: no state"):

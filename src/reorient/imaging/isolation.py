@@ -69,8 +69,8 @@ class Isolation:
 
         ``mask``: not zero on the object. Removed returns in front of the object, and pixels without return inside it or
         next to it, become unknown; all others are not the object. Without mask and fields all returns are kept. Raises
-        ReorientError where nothing is left, for a mask of another size, and where what is left is no isolated object:
-        it continues beyond what was chosen, a plane that continues holds most of it, or it is two.
+        ReorientError where nothing is left, for a mask of another size, and where the remaining returns are no isolated
+        object: it continues beyond what was chosen, a plane that continues holds most of it, or it is two.
         """
         if mask is None and self == Isolation():
             raw = bool(np.all(image.valid | image.unknown))  # background out of range is not distinguished

@@ -65,7 +65,7 @@ def refuse_continuing(image: DepthImage, mask: Mask, part: Mask, planes: Sequenc
 
 def _refuse_held(image: DepthImage, mask: Mask, share: float, cure: str) -> NoReturn:
     raise ReorientError(
-        f"{share:.0%} of what is left lies on a plane that continues beyond it (a table or a wall, "
+        f"{share:.0%} of the remaining returns lie on a plane that continues beyond them (a table or a wall, "
         f"{_distance(image, mask)}): {cure}, or give a --mask of the object or the --background without it "
         "(--allow-touching keeps it)"
     )
@@ -83,7 +83,7 @@ def _refuse_cut(image: DepthImage, mask: Mask, part: Mask) -> None:
     outline = np.count_nonzero(mask & ~ndimage.binary_erosion(mask, _CROSS, border_value=1))
     if (count := np.count_nonzero(cut)) > max(_CUT_PX, _CUT_SHARE * outline):
         raise ReorientError(
-            f"what is left continues beyond the box, depth range or sphere along {count} px of its outline, "
+            f"the remaining returns continue beyond the box, depth range or sphere along {count} px of their outline, "
             f"{_distance(image, cut)} (a table, wall or gripper, or the object is larger): add --remove-plane, choose "
             "wider limits, or give a --mask or --background (--allow-touching keeps it)"
         )
