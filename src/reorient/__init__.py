@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from reorient.errors import ReorientError, StationError
     from reorient.estimators import load_estimator
     from reorient.estimators.base import Estimator, RotationEstimate
-    from reorient.imaging import Camera, DepthImage, Isolation, isolate
+    from reorient.imaging import Camera, DepthImage, Goal, GoalView, Isolation, isolate
     from reorient.imaging.files import read_camera, read_depth
     from reorient.perception.robot_calibration import RobotCalibration
     from reorient.stations.calibrating import calibrate
@@ -28,6 +28,8 @@ __all__ = [
     "DepthImage",
     "Estimator",
     "Fusing",
+    "Goal",
+    "GoalView",
     "Isolation",
     "Limits",
     "OrientResult",
@@ -53,7 +55,7 @@ _MODULES = {
     "errors": ("ReorientError", "StationError"),
     "estimators": ("load_estimator",),
     "estimators.base": ("Estimator", "RotationEstimate"),
-    "imaging": ("Camera", "DepthImage", "Isolation", "isolate"),
+    "imaging": ("Camera", "DepthImage", "Goal", "GoalView", "Isolation", "isolate"),
     "imaging.files": ("read_camera", "read_depth"),
     "perception.robot_calibration": ("RobotCalibration",),
     "stations.calibrating": ("calibrate",),
