@@ -12,6 +12,7 @@ import json
 import sys
 import time
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -100,7 +101,7 @@ def fitted(config: Fit) -> None:
     from sklearn.preprocessing import StandardScaler
 
     with np.load(config.data) as arrays:
-        values, (number, index, there, error_deg) = arrays["features"], arrays["labels"].T
+        values, (number, _, there, error_deg) = arrays["features"], arrays["labels"].T
     used = [FEATURES.index(name) for name in USED]
     right = (there == 1) & (error_deg < 5)
     scaler = StandardScaler().fit(values[:, used])
@@ -115,7 +116,7 @@ def fitted(config: Fit) -> None:
     for name, group in (("swapped or hidden", there == 0), ("there, wrong", (there == 1) & ~right)):
         print(f"{name}, below 0.5: {np.mean(odds[group] < 0):.2%} of {group.sum()}")
     edges = np.quantile(odds, np.linspace(0, 1, 11))
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in pairwise(edges):
         group = (odds >= low) & (odds <= high)
         print(f"confidence {np.mean(1 / (1 + np.exp(-odds[group]))):.3f}: right {right[group].mean():.3f}")
     if config.write is None:

@@ -84,12 +84,11 @@ def track(current: DepthImage, goal: DepthImage | Goal, previous: RotationEstima
     target = views[int(np.argmin([so3.angle_difference(x.R_goal_view, R) for x in views]))]
     problem = problem_of(DepthView(current), target.view)
     R_view_goal = target.R_goal_view.T
-    start = Hypotheses(
-        (R_view_goal @ R)[None], (R_view_goal @ (previous.t_goal_current_m - target.t_goal_view_m))[None]
-    )
+    t_m = R_view_goal @ (previous.t_goal_current_m - target.t_goal_view_m)
+    start = Hypotheses((R_view_goal @ R)[None], t_m[None])
     if previous.free_axis is not None:
-        untwist = twist(R, previous.free_axis).T
-        start = start.perturbed(problem.prior.goal_m, (R_view_goal @ untwist @ target.R_goal_view)[None], np.zeros((1, 3)))
+        untwist = R_view_goal @ twist(R, previous.free_axis).T @ target.R_goal_view
+        start = start.perturbed(problem.prior.goal_m, untwist[None], np.zeros((1, 3)))
     found = fit(problem, start)
     tracked = with_evidence(
         problem.current, problem.goal, found.R[0], found.t_m[0], confidence=confidence(problem, found)
