@@ -6,7 +6,7 @@ view shows and what the worker is told. It moves nothing.
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -90,6 +90,7 @@ class Guidance:
             raise OutOfRange("tolerance_rad", self.tolerance_rad, f"a number above {self.margin_rad:.3g}, to pi")
 
 
+@runtime_checkable
 class RotationTracker(Protocol):
     """What a guide needs of ``reorient.estimators.tracking.Tracker``."""
 

@@ -85,11 +85,10 @@ def track(current: DepthImage, goal: DepthImage | Goal, previous: RotationEstima
     problem = problem_of(DepthView(current), target.view)
     R_view_goal = target.R_goal_view.T
     t_m = R_view_goal @ (previous.t_goal_current_m - target.t_goal_view_m)
-    start = Hypotheses((R_view_goal @ R)[None], t_m[None])
+    found = fit(problem, Hypotheses((R_view_goal @ R)[None], t_m[None]))
     if previous.free_axis is not None:
-        untwist = R_view_goal @ twist(R, previous.free_axis).T @ target.R_goal_view
-        start = start.perturbed(problem.prior.goal_m, untwist[None], np.zeros((1, 3)))
-    found = fit(problem, start)
+        untwist = R_view_goal @ twist(target.R_goal_view @ found.R[0], previous.free_axis).T @ target.R_goal_view
+        found = found.perturbed(problem.prior.goal_m, untwist[None], np.zeros((1, 3)))
     tracked = with_evidence(
         problem.current, problem.goal, found.R[0], found.t_m[0], confidence=confidence(problem, found)
     )
