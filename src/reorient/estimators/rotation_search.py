@@ -26,7 +26,7 @@ from reorient.runs.pool import Pool
 
 DISTINCT_RAD = np.radians(12)  # two hypotheses closer than this are one answer
 ALTERNATIVE_ABOVE = 0.25  # of the answer's probability: a less likely hypothesis is no alternative
-SURE = 0.9  # probability above which a known pivot is not doubted
+SURE = 0.9  # probability above which a known pivot is not doubted, and a hypothesis is as good as the answer
 CONTRADICTED2 = 5.0  # squared Mahalanobis distance of a motion from leaving the pivot in place that contradicts it
 DOUBTED = 0.49  # largest confidence of an answer that part of the image contradicts
 LEAST_COVISIBLE, UNSUPPORTED = 0.05, 0.1  # with a smaller co-visible inlier ratio the confidence is at most the latter
@@ -155,7 +155,8 @@ def polished(verified: Verified) -> RotationEstimate:
     distinct = likely[non_maximum_suppression(hypotheses.R[likely], verified.log_odds[likely], DISTINCT_RAD)]
     share = probability / max(float(probability[distinct].sum()), 1.0)  # normalised only if they sum to more than 1
     problem = verified.problem if verified.found.silhouettes[best] else verified.problem.without_silhouettes
-    chosen, axis = smallest_equivalent(problem, hypotheses[np.array([best])], hypotheses[distinct[1:]])
+    equivalent = distinct[1:][probability[distinct[1:]] >= SURE]  # a flip that only fits alike may be no symmetry
+    chosen, axis = smallest_equivalent(problem, hypotheses[np.array([best])], hypotheses[equivalent])
     others = distinct[so3.angle_difference(hypotheses.R[distinct], chosen.R[0]) > DISTINCT_RAD]
     answer = polish(problem, chosen)
     covariance_rad2, converged = uncertainty(problem, answer.hypothesis)
