@@ -38,6 +38,9 @@ class RotationEstimate:
     free_axis: Float[np.ndarray, "3"] | None = None
     """Unit axis, the goal's camera axes, about which every rotation fits, as of a solid of revolution; the answer is
     then the smallest of these rotations. None if there is none."""
+    symmetries: tuple[Float[np.ndarray, "3 3"], ...] = ()
+    """Rotations S, the goal's camera axes, such that S R_goal_current is the same to the object, by the symmetry that a
+    goal of views from all sides shows; the answer is the smallest of these rotations. Empty without such a goal."""
     warnings: tuple[str, ...] = ()
     """What was found wrong with the input, a sentence each."""
 

@@ -16,15 +16,17 @@ from reorient import so3
 from reorient.errors import ReorientError, unknown_name
 from reorient.estimators.base import History, RotationEstimate, check_pair, checked_history
 from reorient.estimators.equivalents import smallest_equivalent
+from reorient.estimators.goal_symmetry import NONE, equivalents, symmetries
 from reorient.estimators.polish import polish, uncertainty
 from reorient.estimators.search import EFFORTS, Found, search
 from reorient.estimators.static_part import find_static_part
-from reorient.estimators.verifier import Verifier, features, load_verifier
+from reorient.estimators.views_verifier import judge
 from reorient.imaging import DepthImage
 from reorient.imaging.goal import Goal
 from reorient.registration import (
     EVIDENCE_POINTS,
     INLIER_TOLERANCE,
+    Hypotheses,
     Problem,
     aligned_goal,
     build_problem,
@@ -63,12 +65,12 @@ class RotationSearch:
         goal, warnings = aligned_goal(goal, pivot_m)
         problem = build_problem(current, goal, pivot_m, checked_history(history))
         verified = self._without_wrong_pivot(self._verified(problem))
-        return polished(self._without_static_part(verified).with_warning(*warnings))
+        return polished(self._without_static_part(verified).with_warning(*warnings), symmetries(goal))
 
     def _verified(self, problem: Problem, more: Found | None = None) -> "Verified":
         """The hypotheses of a search, and more of them, verified."""
         found = search(problem, EFFORTS[self._effort])
-        return verify(problem, found if more is None else found.and_also(more), load_verifier(), self._effort)
+        return verify(problem, found if more is None else found.and_also(more), self._effort)
 
     def _without_wrong_pivot(self, verified: "Verified") -> "Verified":
         """The hypotheses without the pivot where they are verified with it only poorly, and better without it."""
@@ -102,7 +104,7 @@ class RotationSearch:
 
     def estimate_many(
         self,
-        pairs: Sequence[tuple[DepthImage, DepthImage]],
+        pairs: Sequence[tuple[DepthImage, DepthImage | Goal]],
         pivots_m: Sequence[Float[np.ndarray, "3"] | None] | None = None,
         workers: int | None = None,
     ) -> list[RotationEstimate]:
@@ -147,15 +149,13 @@ class Verified:
         return replace(self, probability=np.minimum(self.probability, probability))
 
 
-def verify(problem: Problem, found: Found, verifier: Verifier, effort: str) -> Verified:
-    """The probability of each hypothesis of a search with that effort, from all observations."""
-    each = [verifier.log_odds(features(*pair)) for pair in problem.each_pair(found.hypotheses)]
-    log_odds = np.mean(each, axis=0)
-    return Verified(problem, found, log_odds, verifier.probability(log_odds, effort))
+def verify(problem: Problem, found: Found, effort: str) -> Verified:
+    """The probability of each hypothesis of a search with that effort, from all pairs of views."""
+    return Verified(problem, found, *judge(problem, found.hypotheses, effort))
 
 
-def polished(verified: Verified) -> RotationEstimate:
-    """The most likely hypothesis, polished, and the alternatives to it."""
+def polished(verified: Verified, group: Hypotheses = NONE) -> RotationEstimate:
+    """The most likely hypothesis, polished, and the alternatives to it. ``group``: the symmetries of the goal."""
     hypotheses, probability, best = verified.found.hypotheses, verified.probability, verified.best
     likely = np.nonzero(probability > ALTERNATIVE_ABOVE * probability[best])[0]
     # the best first
@@ -163,7 +163,10 @@ def polished(verified: Verified) -> RotationEstimate:
     share = probability / max(float(probability[distinct].sum()), 1.0)  # normalised only if they sum to more than 1
     problem = verified.problem if verified.found.silhouettes[best] else verified.problem.without_silhouettes
     chosen, axis = smallest_equivalent(problem, hypotheses[np.array([best])], hypotheses[distinct[1:]])
-    others = distinct[so3.angle_difference(hypotheses.R[distinct], chosen.R[0]) > DISTINCT_RAD]
+    same = equivalents(chosen, group)
+    chosen = same[:1]
+    away_rad = so3.angle_difference(hypotheses.R[distinct][:, None], same.R).min(axis=1)
+    others = distinct[away_rad > DISTINCT_RAD]
     answer = polish(problem, chosen)
     covariance_rad2, converged = uncertainty(problem, answer.hypothesis)
     motion = answer.hypothesis.R[0], answer.hypothesis.t_m[0]
@@ -176,6 +179,7 @@ def polished(verified: Verified) -> RotationEstimate:
         alternatives=tuple((hypotheses.R[i], float(share[i])) for i in others),
         covariance_rad2=covariance_rad2,
         free_axis=axis,
+        symmetries=tuple(group.R),
         warnings=verified.warnings,
     )
     if not estimate.evidence.covisible_inlier_ratio >= LEAST_COVISIBLE:  # nor if it is NaN
