@@ -21,9 +21,9 @@ from reorient.controller.session import Session, StationHangs
 from reorient.controller.station import Station, missing_members, pivot_of
 from reorient.errors import ReorientError
 from reorient.estimators.base import Estimator, RotationEstimate, as_estimate, check_pair, for_any_goal
-from reorient.imaging import DepthImage
-from reorient.imaging.goal import Goal, as_goal
+from reorient.imaging import DepthImage, Goal, as_goal
 from reorient.plugins import PROGRAMMING_ERRORS, USER_ERRORS, in_words
+from reorient.registration import aligned_goal
 
 MIN_GAIN_RAD = float(np.radians(0.5))
 """An alternative to an unreachable move is made if it comes nearer by this. Not tuned."""
@@ -143,7 +143,8 @@ class _Loop:
         self.check_motion()
         try:
             if self.belief is None:
-                self.belief = self.strategy.start(self.goal.image)
+                aligned, _ = aligned_goal(self.goal, self.pivot_m)  # what is wrong with it, the estimates say
+                self.belief = self.strategy.start(aligned if aligned.views else aligned.image)
             self.belief = self.belief.updated(self.steps[-1])
             decision = self.strategy.decide(self.belief, self.session.reachable)
         except USER_ERRORS as error:  # it may be the user's own; the record must survive it
