@@ -4,13 +4,14 @@ It aligns depth images and knows no estimator. ``build_problem`` makes the probl
 hypotheses of rotations, ``refine`` improves them, ``Problem.score`` and ``measure_evidence`` compare them.
 """
 
-from reorient.registration.aligning import aligned_goal
+from reorient.registration.aligning import aligned_goal, posed_views
 from reorient.registration.build import build_problem
 from reorient.registration.depth_view import DepthView, Warped, evenly_spaced
 from reorient.registration.evidence import (
     EVIDENCE_POINTS,
     INLIER_TOLERANCE,
     Evidence,
+    evidence_of,
     inlier_tolerance_m,
     measure_evidence,
     warp_both,
@@ -36,12 +37,14 @@ __all__ = [
     "aligned_goal",
     "build_problem",
     "evenly_spaced",
+    "evidence_of",
     "fit_planes",
     "inlier_tolerance_m",
     "measure_evidence",
     "non_maximum_suppression",
     "normal_equations",
     "pivot_prior",
+    "posed_views",
     "refine",
     "warp_both",
 ]
