@@ -20,9 +20,9 @@ from reorient.estimators.goal_symmetry import NONE, equivalents, symmetries
 from reorient.estimators.polish import polish, uncertainty
 from reorient.estimators.search import EFFORTS, Found, search
 from reorient.estimators.static_part import find_static_part
+from reorient.estimators.tracking import track
 from reorient.estimators.views_verifier import judge
-from reorient.imaging import DepthImage
-from reorient.imaging.goal import Goal
+from reorient.imaging import DepthImage, Goal
 from reorient.registration import (
     EVIDENCE_POINTS,
     INLIER_TOLERANCE,
@@ -66,6 +66,10 @@ class RotationSearch:
         problem = build_problem(current, goal, pivot_m, checked_history(history))
         verified = self._without_wrong_pivot(self._verified(problem))
         return polished(self._without_static_part(verified).with_warning(*warnings), symmetries(goal))
+
+    def track(self, current: DepthImage, goal: DepthImage | Goal, previous: RotationEstimate) -> RotationEstimate:
+        """The motion near ``previous``, an estimate of a moment ago: see ``reorient.estimators.tracking.track``."""
+        return track(current, goal, previous)
 
     def _verified(self, problem: Problem, more: Found | None = None) -> "Verified":
         """The hypotheses of a search, and more of them, verified."""
