@@ -113,7 +113,7 @@ def test_flips_of_a_box_lose_no_score(mesh, symmetric):
     station, goal, R_goal = cell(BOX if symmetric else mesh, seed=3, noise_m=0.001)
     before, R_before = station.capture(), station.R_camera_object
     station.R_camera_object = R_goal
-    flips = SymmetryTest().flips(PreparedImage(station.capture()), PreparedImage(goal), [(before, R_goal @ R_before.T)])
+    flips = SymmetryTest().flips(PreparedImage(station.capture()), goal, [(before, R_goal @ R_before.T)])
     assert len(flips) == 3
     assert all(np.degrees(so3.angle(flip.R_goal_current)) > 120 for flip in flips)
     assert (min(flip.score_loss for flip in flips) < 0.1) == symmetric

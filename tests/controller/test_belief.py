@@ -8,10 +8,11 @@ import pytest
 from oracles import NOW, Oracle, answer, cell, lying_box
 
 from reorient import Fusing, orient, so3
-from reorient.controller.arrival import Arrival, Observation, PreparedImage
+from reorient.controller.arrival import Arrival, Observation, PreparedGoal
 from reorient.controller.base import Step, history_of
 from reorient.controller.belief import Belief
 from reorient.controller.hypotheses import BeliefSettings, Hypothesis, Viewpoint, hypotheses_of
+from reorient.imaging import Goal
 
 A, B, C = (so3.exp(np.array(x)) for x in ([0.7, 0, 0.2], [0, 2.0, 0], [0, 0, 2.5]))
 
@@ -22,7 +23,7 @@ def image(mesh):
 
 
 def folded(goal, steps, **settings):
-    belief = Belief(PreparedImage(goal), BeliefSettings(**settings))
+    belief = Belief(PreparedGoal(goal, Goal(goal)), BeliefSettings(**settings))
     for step in steps:
         belief = belief.updated(step)
     return belief

@@ -22,6 +22,7 @@ from reorient.experiments.evaluation import (
     regenerate,
 )
 from reorient.registration import DepthView
+from reorient.reporting.rows import estimators, read_rows
 from reorient.runs.pool import Pool
 from reorient.world.objects import ObjectSource
 
@@ -68,6 +69,18 @@ def test_estimators_meet_the_same_pairs(finished):
     for row in rows_of(finished):
         by_cell.setdefault((row["pair"], row["low_deg"], row["noise_mm"]), set()).add(row["angle_deg"])
     assert all(len(angles) == 1 for angles in by_cell.values())
+
+
+def test_goals_of_several_views_are_of_the_same_pairs(finished, tmp_path):
+    config = replace(TINY, estimators=("gicp",), goal_views=(1, 3), pairs=1, noise_mm=(0.0,))
+    list(evaluate(config, tmp_path / "run"))
+    rows = rows_of(tmp_path / "run")
+    assert [row["goal_views"] for row in rows] == ["1", "3", "1", "3"]
+    one = {row["low_deg"]: row for row in rows_of(finished) if (row["pair"], row["noise_mm"]) == ("0", "0.0")}
+    for row in rows:  # one view is all that this estimator knows
+        assert row["angle_deg"] == one[row["low_deg"]]["angle_deg"]
+    assert rows[0]["error_deg"] == rows[1]["error_deg"]
+    assert estimators(read_rows(tmp_path / "run")) == ["gicp", "gicp, 3 goal views"]
 
 
 def test_rows_can_be_made_again(finished):
@@ -152,7 +165,7 @@ def test_ordinary_objects_can_go_on(tmp_path):
 
 
 def test_anything_can_be_measured_of_the_same_pairs(finished, tmp_path):
-    def truth(config, pair, group, pivot_m):
+    def truth(config, pair, goal, group, pivot_m):
         assert (pivot_m is None) != config.pivot
         return [answer_cells(pair.R_goal_current, pair, group) for _ in config.estimators]
 

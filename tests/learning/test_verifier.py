@@ -7,7 +7,9 @@ import pytest
 
 from reorient.errors import ReorientError
 from reorient.estimators.verifier import FEATURES
-from reorient.learning.verifier import VerifierData, make, read
+from reorient.estimators.views_verifier import VIEWS_FEATURES
+from reorient.learning.verifier import read
+from reorient.learning.verifier_data import VerifierData, make
 from reorient.world.objects import ObjectSource
 
 CONFIG = VerifierData(ObjectSource(count=2), pairs=2, per_shard=1, effort="fast")
@@ -31,6 +33,16 @@ def test_every_hypothesis_is_a_row(shards):
     assert not data.right.all()
 
 
+def test_several_views_have_features_of_their_own(tmp_path):
+    config = replace(CONFIG, goal_views=(2, 3), views_now=(1, 2), objects=ObjectSource(count=1))
+    list(make(config, tmp_path))
+    data = read(tmp_path)
+    assert data.names == VIEWS_FEATURES
+    assert data.features.shape == (len(data.pair), len(VIEWS_FEATURES))
+    assert np.isfinite(data.features).all()
+    assert set(data.features[:, VIEWS_FEATURES.index("goal views")].tolist()) <= {1.0, 2.0, 3.0}
+
+
 def test_goes_on_and_repeats_itself(shards, tmp_path):
     folder, _ = shards
     assert list(make(CONFIG, folder)) == [(2, 2)]
@@ -52,6 +64,8 @@ def test_shards_of_another_config_are_not_mixed(shards):
         ({"effort": "foo"}, "unknown effort 'foo'"),
         ({"world": "foo"}, "unknown world 'foo'"),
         *(({name: 0}, f"{name}=0: expected a number from 1") for name in ("pairs", "per_shard")),
+        ({"goal_views": (7,)}, "goal_views=.*: expected numbers from 1 to 6"),
+        ({"views_now": (4,)}, "views_now=.*: expected numbers from 1 to 3"),
         ({"seed": -1}, "seed=-1: expected a number from 0"),
         ({"in_hand": 1.5}, "in_hand=1.5: expected a number from 0 to 1"),
         *(({"most_noise_mm": value}, "most_noise_mm=.*: expected a number from 0") for value in (-1.0, np.nan, np.inf)),

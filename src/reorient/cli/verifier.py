@@ -6,7 +6,7 @@ from pathlib import Path
 from reorient.cli.arguments import Positional
 from reorient.cli.learning import require
 from reorient.cli.progress import show_progress
-from reorient.learning.verifier import VerifierData
+from reorient.learning.verifier_data import VerifierData
 from reorient.runs.pool import Pool
 
 
@@ -16,8 +16,12 @@ class Make:
 
     One file holds those of a few objects. An interrupted run continues where it stopped.
 
+    With several views the data is for the verifier of several views, which judges by what the other one says of each
+    pair of views: of other objects than that was trained on.
+
     Examples:
         reorient verifier make out/verifier --count 5000 --workers 2
+        reorient verifier make out/views --count 1500 --object-seed 1 --goal-views 2 3 4 5 6 --views-now 1 1 2 3
     """
 
     out: Positional[Path]
@@ -27,7 +31,7 @@ class Make:
 
     def run(self) -> None:
         """Make all shards that are missing."""
-        from reorient.learning.verifier import make
+        from reorient.learning.verifier_data import make
 
         show_progress("shards", make(self.config, self.out, self.pool))
 
@@ -40,6 +44,7 @@ class Train:
 
     Examples:
         reorient verifier train out/verifier out/verifier.npz
+        reorient verifier train out/views src/reorient/estimators/verifier-views.npz
     """
 
     data: Positional[Path]

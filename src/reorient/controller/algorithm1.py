@@ -8,7 +8,7 @@ import numpy as np
 from reorient import so3
 from reorient.controller.base import Decision, Reachable, Step, degrees
 from reorient.errors import ReorientError
-from reorient.imaging import DepthImage
+from reorient.imaging import DepthImage, Goal
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ class Algorithm1:
                 "K >= 1, 0 < eta <= 1, delta >= 0, patience >= 0"
             )
 
-    def start(self, goal: DepthImage) -> LatestStep:
+    def start(self, goal: DepthImage | Goal) -> LatestStep:
         """No step yet; the estimator has the goal."""
         return LatestStep()
 

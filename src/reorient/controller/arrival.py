@@ -20,7 +20,7 @@ from scipy import ndimage
 
 from reorient import so3
 from reorient.estimators.base import RotationEstimate
-from reorient.imaging import DepthImage
+from reorient.imaging import DepthImage, Goal
 from reorient.registration import DepthView, build_problem, measure_evidence, refine
 
 POINTS = 1500
@@ -60,6 +60,13 @@ class PreparedImage:
         lowest = ndimage.minimum_filter(np.where(image.valid, image.depth_m, np.inf), 3)
         half: Float[np.ndarray, " n"] = (highest[image.valid] - lowest[image.valid]) / 2
         return half
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedGoal(PreparedImage):
+    """The goal: its primary view, as an image, and all views. What shows one pose is compared with the former."""
+
+    whole: Goal
 
 
 @dataclass(frozen=True, eq=False)

@@ -146,8 +146,8 @@ class Strategy(Protocol):
         """Whether the estimator receives earlier images."""
         ...
 
-    def start(self, goal: DepthImage) -> AnyBelief:
-        """The belief before the first step."""
+    def start(self, goal: Any) -> AnyBelief:
+        """The belief before the first step. ``goal``: a DepthImage; of a goal of several views, the Goal, aligned."""
         ...
 
     def decide(self, belief: Any, reachable: Reachable) -> Decision:

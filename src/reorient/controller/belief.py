@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from reorient import so3
-from reorient.controller.arrival import Observation, PreparedImage
+from reorient.controller.arrival import Observation, PreparedGoal, PreparedImage
 from reorient.controller.base import Step
 from reorient.controller.hypotheses import (
     BeliefSettings,
@@ -40,7 +40,7 @@ class Hidden:
 class Belief:
     """What the steps so far imply."""
 
-    goal: PreparedImage
+    goal: PreparedGoal
     settings: BeliefSettings
     viewpoints: tuple[Viewpoint, ...] = ()
     """Since the last unknown motion, in order; the object may have moved on since the last one."""
@@ -102,7 +102,7 @@ class Belief:
         if any(x.flips and near_viewpoints(x, now, self.settings) for x in before):
             return ()
         history = [(x.observations[0].image, now.R_then_start @ x.R_then_start.T) for x in before]
-        return self.settings.symmetry_test.flips(image, self.goal, history)
+        return self.settings.symmetry_test.flips(image, self.goal.whole, history)
 
     @cached_property
     def hypotheses(self) -> tuple[Hypothesis, ...]:

@@ -15,12 +15,12 @@ import numpy as np
 from jaxtyping import Float
 
 from reorient import so3
-from reorient.controller.arrival import PreparedImage
+from reorient.controller.arrival import PreparedGoal
 from reorient.controller.base import Decision, Reachable, Status, degrees
 from reorient.controller.belief import Belief
 from reorient.controller.situation import FusingSettings, Situation
 from reorient.formatting import format_number, format_probability
-from reorient.imaging import DepthImage
+from reorient.imaging import DepthImage, Goal, as_goal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,9 +29,10 @@ class Fusing(FusingSettings):
 
     undoes_moves: ClassVar[bool] = True
 
-    def start(self, goal: DepthImage) -> Belief:
+    def start(self, goal: DepthImage | Goal) -> Belief:
         """The belief before the first observation."""
-        return Belief(PreparedImage(goal), self.belief_settings)
+        whole = as_goal(goal)
+        return Belief(PreparedGoal(whole.image, whole), self.belief_settings)
 
     def decide(self, belief: Belief, reachable: Reachable) -> Decision:
         """The next act, from the belief right after an observation."""

@@ -112,9 +112,15 @@ def answers(estimate: RotationEstimate) -> list[tuple[Float[np.ndarray, "3 3"], 
     return [(estimate.R_goal_current, min(first, max(1 - rest, LEAST_PROBABILITY))), *estimate.alternatives]
 
 
+def same_to(estimate: RotationEstimate, R_goal_current: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "k 3 3"]:
+    """A rotation and those that are the same to the object, by the goal's symmetries."""
+    return np.stack([R_goal_current, *(S @ R_goal_current for S in estimate.symmetries)])
+
+
 def nearest(estimate: RotationEstimate, R: Float[np.ndarray, "3 3"]) -> tuple[Float[np.ndarray, "3 3"], float]:
-    """Of the rotations that an estimate names the one nearest to R, and their difference in radians."""
-    named = np.stack([answer for answer, _ in answers(estimate)])
+    """Of the rotations that an estimate names, and those that are the same to the object, the one nearest to R, and
+    their difference in radians."""
+    named = np.concatenate([same_to(estimate, answer) for answer, _ in answers(estimate)])
     away = so3.angle_difference(named, R)
     return named[np.argmin(away)], float(away.min())
 
@@ -159,11 +165,11 @@ def _clusters(viewpoints: Sequence[Viewpoint], settings: BeliefSettings) -> list
     named: list[dict[int, list[float]]] = []
     losses: list[float] = []
 
-    def cluster(R_goal_start: Float[np.ndarray, "3 3"]) -> int:
-        away_rad = [float(so3.angle_difference(centre, R_goal_start)) for centre in centres]
+    def cluster(same: Float[np.ndarray, "k 3 3"]) -> int:
+        away_rad = [float(so3.angle_difference(centre, same).min()) for centre in centres]
         if away_rad and min(away_rad) <= settings.same_rad:
             return int(np.argmin(away_rad))
-        centres.append(R_goal_start)
+        centres.append(same[0])
         named.append({})
         losses.append(float("inf"))
         return len(centres) - 1
@@ -171,10 +177,12 @@ def _clusters(viewpoints: Sequence[Viewpoint], settings: BeliefSettings) -> list
     for index in range(len(viewpoints) - 1, -1, -1):
         for observation in viewpoints[index].observations:
             for R, probability in answers(observation.estimate):
-                named[cluster(R @ viewpoints[index].R_then_start)].setdefault(index, []).append(probability)
+                same = same_to(observation.estimate, R) @ viewpoints[index].R_then_start
+                named[cluster(same)].setdefault(index, []).append(probability)
     for viewpoint in viewpoints:
         for flip in viewpoint.flips:
-            k = cluster(flip.R_goal_current @ viewpoint.R_then_start)
+            same = same_to(viewpoint.observations[-1].estimate, flip.R_goal_current)
+            k = cluster(same @ viewpoint.R_then_start)
             losses[k] = min(losses[k], flip.score_loss)
     return [Hypothesis(*x) for x in zip(centres, named, losses, strict=True)]
 

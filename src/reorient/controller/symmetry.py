@@ -17,6 +17,7 @@ from reorient.controller.arrival import (
     aligned,
 )
 from reorient.estimators.base import History
+from reorient.imaging import DepthImage, Goal
 from reorient.registration import build_problem, fit_planes, refine
 
 _QUARTER = np.pi / 2 * np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
@@ -51,12 +52,12 @@ class SymmetryTest(PoseSettings):
     elsewhere_rad: float = float(np.radians(80))
     """Views whose directions differ by at least this show other sides. Not tuned."""
 
-    def flips(self, current: PreparedImage, goal: PreparedImage, history: History = ()) -> tuple[Flip, ...]:
+    def flips(self, current: PreparedImage, goal: DepthImage | Goal, history: History = ()) -> tuple[Flip, ...]:
         """Of a pose that may be the goal pose: the 180-degree rotations about its dominant axes, each aligned.
 
         ``history``: earlier images, each with R_now_then.
         """
-        problem = build_problem(current.image, goal.image, None, history)
+        problem = build_problem(current.image, goal, None, history)
         R = np.concatenate([np.eye(3)[None], so3.exp(np.pi * dominant_axes(current))])
         result = refine(problem, problem.start(R), COARSE, ALIGNMENT_POINTS)
         score = problem.image_score(result, self.tolerance, POINTS)

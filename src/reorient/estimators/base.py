@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -11,6 +11,7 @@ from reorient import se3, so3
 from reorient.errors import ReorientError
 from reorient.imaging import DepthImage
 from reorient.imaging.depth_image import MILLIMETRES_ABOVE
+from reorient.imaging.goal import Goal
 from reorient.imaging.refusals import require_isolated
 from reorient.registration import DepthView, Evidence, inlier_tolerance_m, measure_evidence
 
@@ -37,6 +38,9 @@ class RotationEstimate:
     free_axis: Float[np.ndarray, "3"] | None = None
     """Unit axis, the goal's camera axes, about which every rotation fits, as of a solid of revolution; the answer is
     then the smallest of these rotations. None if there is none."""
+    symmetries: tuple[Float[np.ndarray, "3 3"], ...] = ()
+    """Rotations S, the goal's camera axes, such that S R_goal_current is the same to the object, by the symmetry that a
+    goal of views from all sides shows; the answer is the smallest of these rotations. Empty without such a goal."""
     warnings: tuple[str, ...] = ()
     """What was found wrong with the input, a sentence each."""
 
@@ -68,22 +72,56 @@ class Estimator(Protocol):
     def estimate(
         self,
         current: DepthImage,
-        goal: DepthImage,
+        goal: Any,
         pivot_m: Float[np.ndarray, "3"] | None = None,
         history: History = (),
     ) -> RotationEstimate:
         """The rotation from current to goal. ``pivot_m``: rotation centre in camera axes, good to about 1 cm, if known.
+
+        ``goal``: a DepthImage; also a Goal where the estimator states ``several_views = True`` (see ``for_any_goal``).
 
         Raises ReorientError for images that cannot be compared.
         """
         ...
 
 
+@dataclass(frozen=True)
+class OneView:
+    """An estimator that knows one goal view: of a ``Goal`` it receives the primary view."""
+
+    estimator: Estimator
+    several_views: ClassVar[bool] = True
+
+    def estimate(
+        self,
+        current: DepthImage,
+        goal: DepthImage | Goal,
+        pivot_m: Float[np.ndarray, "3"] | None = None,
+        history: History = (),
+    ) -> RotationEstimate:
+        """As ``Estimator.estimate``."""
+        return self.estimator.estimate(current, goal.image if isinstance(goal, Goal) else goal, pivot_m, history)
+
+    def __getattr__(self, name: str) -> Any:
+        """All else is the estimator's own."""
+        if name == "estimator":  # not there yet: while it is being copied or unpickled
+            raise AttributeError(name)
+        return getattr(self.estimator, name)
+
+
+def for_any_goal(estimator: Estimator) -> Estimator:
+    """The estimator itself where it states ``several_views = True``, else one that gives it the primary view."""
+    return estimator if getattr(estimator, "several_views", False) else OneView(estimator)
+
+
 def check_pair(
-    current: DepthImage, goal: DepthImage, pivot_m: Float[np.ndarray, "3"] | None = None, fewest: int = 20
+    current: DepthImage, goal: DepthImage | Goal, pivot_m: Float[np.ndarray, "3"] | None = None, fewest: int = 20
 ) -> None:
     """Raise ReorientError for input that no estimator can use: few returns, no isolated object, a bad pivot."""
-    for name, image in (("current", current), ("goal", goal)):
+    further = goal.views if isinstance(goal, Goal) else ()
+    primary = goal.image if isinstance(goal, Goal) else goal
+    named = [("current", current), ("goal", primary), *((f"goal view {k}", x.image) for k, x in enumerate(further, 1))]
+    for name, image in named:
         if not isinstance(image, DepthImage):
             raise ReorientError(f"{name} is a {type(image).__name__}: expected DepthImage(depth_m, camera)")
         if (returns := np.count_nonzero(image.depth_m)) < fewest:

@@ -7,21 +7,31 @@ the other rotations that fit where the object is symmetric or the two views leav
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from os import cpu_count
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
 
 from reorient import so3
 from reorient.errors import ReorientError, unknown_name
-from reorient.estimators.base import History, RotationEstimate, check_pair, checked_history, with_evidence
+from reorient.estimators.base import History, RotationEstimate, check_pair, checked_history
 from reorient.estimators.equivalents import smallest_equivalent
+from reorient.estimators.goal_symmetry import NONE, equivalents, symmetries
 from reorient.estimators.polish import polish, uncertainty
 from reorient.estimators.search import EFFORTS, Found, search
 from reorient.estimators.static_part import find_static_part
 from reorient.estimators.tracking import track
-from reorient.estimators.verifier import Verifier, features, load_verifier
+from reorient.estimators.views_verifier import judge
 from reorient.imaging import DepthImage, Goal
-from reorient.registration import Problem, build_problem, non_maximum_suppression
+from reorient.registration import (
+    EVIDENCE_POINTS,
+    INLIER_TOLERANCE,
+    Hypotheses,
+    Problem,
+    aligned_goal,
+    build_problem,
+    non_maximum_suppression,
+)
 from reorient.runs.pool import Pool
 
 DISTINCT_RAD = np.radians(12)  # two hypotheses closer than this are one answer
@@ -35,6 +45,8 @@ LEAST_COVISIBLE, UNSUPPORTED = 0.05, 0.1  # with a smaller co-visible inlier rat
 class RotationSearch:
     """Any rotation, with a calibrated confidence and alternatives; ``effort``: fast, normal or thorough."""
 
+    several_views: ClassVar[bool] = True
+
     def __init__(self, effort: str = "normal") -> None:
         """Raises ReorientError for an unknown effort."""
         if effort not in EFFORTS:
@@ -44,15 +56,16 @@ class RotationSearch:
     def estimate(
         self,
         current: DepthImage,
-        goal: DepthImage,
+        goal: DepthImage | Goal,
         pivot_m: Float[np.ndarray, "3"] | None = None,
         history: History = (),
     ) -> RotationEstimate:
         """As ``Estimator.estimate``; of the history the captures that show the most new are used."""
         check_pair(current, goal, pivot_m)
+        goal, warnings = aligned_goal(goal, pivot_m)
         problem = build_problem(current, goal, pivot_m, checked_history(history))
         verified = self._without_wrong_pivot(self._verified(problem))
-        return polished(self._without_static_part(verified))
+        return polished(self._without_static_part(verified).with_warning(*warnings), symmetries(goal))
 
     def track(self, current: DepthImage, goal: DepthImage | Goal, previous: RotationEstimate) -> RotationEstimate:
         """The motion near ``previous``, an estimate of a moment ago: see ``reorient.estimators.tracking.track``."""
@@ -61,7 +74,7 @@ class RotationSearch:
     def _verified(self, problem: Problem, more: Found | None = None) -> "Verified":
         """The hypotheses of a search, and more of them, verified."""
         found = search(problem, EFFORTS[self._effort])
-        return verify(problem, found if more is None else found.and_also(more), load_verifier(), self._effort)
+        return verify(problem, found if more is None else found.and_also(more), self._effort)
 
     def _without_wrong_pivot(self, verified: "Verified") -> "Verified":
         """The hypotheses without the pivot where they are verified with it only poorly, and better without it."""
@@ -71,7 +84,7 @@ class RotationSearch:
         freely = self._verified(verified.problem.without_pivot, verified.found)
         best = freely.found.hypotheses[np.array([freely.best])]
         contradicted = prior.mahalanobis2(best.R, best.t_m)[0] > CONTRADICTED2
-        if not contradicted or freely.confidence <= verified.confidence:
+        if not contradicted or freely.confidence <= max(verified.confidence, DOUBTED):
             return verified
         error_cm = 100 * prior.error_m(best.R[0], best.t_m[0])
         return freely.with_warning(
@@ -95,7 +108,7 @@ class RotationSearch:
 
     def estimate_many(
         self,
-        pairs: Sequence[tuple[DepthImage, DepthImage]],
+        pairs: Sequence[tuple[DepthImage, DepthImage | Goal]],
         pivots_m: Sequence[Float[np.ndarray, "3"] | None] | None = None,
         workers: int | None = None,
     ) -> list[RotationEstimate]:
@@ -140,15 +153,13 @@ class Verified:
         return replace(self, probability=np.minimum(self.probability, probability))
 
 
-def verify(problem: Problem, found: Found, verifier: Verifier, effort: str) -> Verified:
-    """The probability of each hypothesis of a search with that effort, from all observations."""
-    each = [verifier.log_odds(features(problem.only(x), found.hypotheses)) for x in problem.observations]
-    log_odds = np.mean(each, axis=0)
-    return Verified(problem, found, log_odds, verifier.probability(log_odds, effort))
+def verify(problem: Problem, found: Found, effort: str) -> Verified:
+    """The probability of each hypothesis of a search with that effort, from all pairs of views."""
+    return Verified(problem, found, *judge(problem, found.hypotheses, effort))
 
 
-def polished(verified: Verified) -> RotationEstimate:
-    """The most likely hypothesis, polished, and the alternatives to it."""
+def polished(verified: Verified, group: Hypotheses = NONE) -> RotationEstimate:
+    """The most likely hypothesis, polished, and the alternatives to it. ``group``: the symmetries of the goal."""
     hypotheses, probability, best = verified.found.hypotheses, verified.probability, verified.best
     likely = np.nonzero(probability > ALTERNATIVE_ABOVE * probability[best])[0]
     # the best first
@@ -157,20 +168,23 @@ def polished(verified: Verified) -> RotationEstimate:
     problem = verified.problem if verified.found.silhouettes[best] else verified.problem.without_silhouettes
     equivalent = distinct[1:][probability[distinct[1:]] >= SURE]  # a flip that only fits alike may be no symmetry
     chosen, axis = smallest_equivalent(problem, hypotheses[np.array([best])], hypotheses[equivalent])
-    others = distinct[so3.angle_difference(hypotheses.R[distinct], chosen.R[0]) > DISTINCT_RAD]
+    same = equivalents(chosen, group)
+    chosen = same[:1]
+    away_rad = so3.angle_difference(hypotheses.R[distinct][:, None], same.R).min(axis=1)
+    others = distinct[away_rad > DISTINCT_RAD]
     answer = polish(problem, chosen)
     covariance_rad2, converged = uncertainty(problem, answer.hypothesis)
-    estimate = with_evidence(
-        verified.problem.current,
-        verified.problem.goal,
-        answer.hypothesis.R[0],
-        answer.hypothesis.t_m[0],
-        converged=converged,
-        iterations=answer.iterations,
+    motion = answer.hypothesis.R[0], answer.hypothesis.t_m[0]
+    tolerance_m = INLIER_TOLERANCE * problem.diameter_m
+    evidence = verified.problem.evidence(*motion, tolerance_m, EVIDENCE_POINTS)
+    estimate = RotationEstimate(
+        *motion,
+        replace(evidence, converged=converged, iterations=answer.iterations),
         confidence=verified.confidence,
         alternatives=tuple((hypotheses.R[i], float(share[i])) for i in others),
         covariance_rad2=covariance_rad2,
         free_axis=axis,
+        symmetries=tuple(group.R),
         warnings=verified.warnings,
     )
     if not estimate.evidence.covisible_inlier_ratio >= LEAST_COVISIBLE:  # nor if it is NaN

@@ -23,7 +23,16 @@ from reorient.estimators.base import Estimator, RotationEstimate, check_pair, wi
 from reorient.estimators.verifier import FEATURES, features
 from reorient.imaging import DepthImage, Goal
 from reorient.imaging.goal import as_goal
-from reorient.registration import DepthView, Hypotheses, Observation, Problem, measure_evidence, pivot_prior, refine
+from reorient.registration import (
+    DepthView,
+    Hypotheses,
+    PosedView,
+    Problem,
+    aligned_goal,
+    measure_evidence,
+    posed_views,
+    refine,
+)
 
 CONFIDENCE = Path(__file__).with_name("tracking.json")
 
@@ -59,17 +68,7 @@ AGREES_RAD = float(np.radians(5))  # between a tracked rotation and the estimate
 RETRY_IMAGES = 15  # while lost, the whole search is repeated after so many images; the local one at each
 
 
-@dataclass(frozen=True, eq=False)
-class _GoalView:
-    """A view of the goal in its place: p_goal = R p_view + t."""
-
-    view: DepthView
-    R_goal_view: Float[np.ndarray, "3 3"]
-    t_goal_view_m: Float[np.ndarray, "3"]
-
-
-_GOAL_VIEWS: WeakKeyDictionary[DepthImage | Goal, tuple[_GoalView, ...]] = WeakKeyDictionary()
-_PLACING = (0.08, 0.06, 0.04, 0.03, 0.02, 0.015, 0.01)  # tolerances of the steps that put a goal view in place
+_GOAL_VIEWS: WeakKeyDictionary[DepthImage | Goal, tuple[PosedView, ...]] = WeakKeyDictionary()
 
 
 def track(current: DepthImage, goal: DepthImage | Goal, previous: RotationEstimate) -> RotationEstimate:
@@ -82,21 +81,21 @@ def track(current: DepthImage, goal: DepthImage | Goal, previous: RotationEstima
     check_pair(current, as_goal(goal).image)
     R = previous.R_goal_current
     views = _goal_views(goal)
-    target = views[int(np.argmin([so3.angle_difference(x.R_goal_view, R) for x in views]))]
+    target = views[int(np.argmin([so3.angle_difference(x.R_first_view, R) for x in views]))]
     problem = problem_of(DepthView(current), target.view)
-    R_view_goal = target.R_goal_view.T
-    t_m = R_view_goal @ (previous.t_goal_current_m - target.t_goal_view_m)
+    R_view_goal = target.R_first_view.T
+    t_m = R_view_goal @ (previous.t_goal_current_m - target.t_first_view_m)
     found = fit(problem, Hypotheses((R_view_goal @ R)[None], t_m[None]))
     if previous.free_axis is not None:
-        untwist = R_view_goal @ twist(target.R_goal_view @ found.R[0], previous.free_axis).T @ target.R_goal_view
+        untwist = R_view_goal @ twist(target.R_first_view @ found.R[0], previous.free_axis).T @ target.R_first_view
         found = found.perturbed(problem.prior.goal_m, untwist[None], np.zeros((1, 3)))
     tracked = with_evidence(
         problem.current, problem.goal, found.R[0], found.t_m[0], confidence=confidence(problem, found)
     )
     return replace(
         tracked,
-        R_goal_current=target.R_goal_view @ tracked.R_goal_current,
-        t_goal_current_m=target.R_goal_view @ tracked.t_goal_current_m + target.t_goal_view_m,
+        R_goal_current=target.R_first_view @ tracked.R_goal_current,
+        t_goal_current_m=target.R_first_view @ tracked.t_goal_current_m + target.t_first_view_m,
         free_axis=previous.free_axis,
     )
 
@@ -143,23 +142,13 @@ def _logistic() -> tuple[Float[np.ndarray, " f"], float]:
 
 def problem_of(now: DepthView, target: DepthView) -> Problem:
     """The problem of two views, without a pivot."""
-    return Problem((Observation(now, np.eye(3), np.zeros(3)),), target, pivot_prior(now, target, None))
+    return Problem.of((PosedView.first(now),), (PosedView.first(target),), None)
 
 
-def _goal_views(goal: DepthImage | Goal) -> tuple[_GoalView, ...]:
-    """The views of a goal, the primary one first; one of unknown translation is put in place by a registration."""
+def _goal_views(goal: DepthImage | Goal) -> tuple[PosedView, ...]:
+    """The views of a goal, aligned, the primary one first."""
     if goal not in _GOAL_VIEWS:
-        whole = as_goal(goal)
-        primary = DepthView(whole.image)
-        placed = [_GoalView(primary, np.eye(3), np.zeros(3))]
-        for each in whole.views:
-            view, t_m = DepthView(each.image), each.t_goal_view_m
-            if t_m is None:
-                problem = problem_of(view, primary)
-                start = problem.start(each.R_goal_view[None])
-                t_m = refine(problem, start, _PLACING, TRACKING.coarse_points, rotate=False).t_m[0]
-            placed.append(_GoalView(view, each.R_goal_view, t_m))
-        _GOAL_VIEWS[goal] = tuple(placed)
+        _GOAL_VIEWS[goal] = posed_views(aligned_goal(goal)[0])
     return _GOAL_VIEWS[goal]
 
 

@@ -48,13 +48,11 @@ FEATURES = (
 
 
 def features(problem: Problem, hypotheses: Hypotheses) -> Float[np.ndarray, "k f"]:
-    """The features, one column for each of ``FEATURES``, of all hypotheses of a problem with one observation."""
-    (observation,) = problem.observations
-    ((_, then),) = problem.seen_from(hypotheses)
+    """The features, one column for each of ``FEATURES``, of all hypotheses of a problem of two views."""
     ways = np.stack(
         [
-            _one_way(observation.view, problem.goal, then, problem.diameter_m),
-            _one_way(problem.goal, observation.view, then.inverse, problem.diameter_m),
+            _one_way(problem.current, problem.goal, hypotheses, problem.diameter_m),
+            _one_way(problem.goal, problem.current, hypotheses.inverse, problem.diameter_m),
         ]
     )
     inlier, free_space, silhouette = (
@@ -64,7 +62,7 @@ def features(problem: Problem, hypotheses: Hypotheses) -> Float[np.ndarray, "k f
     without_silhouettes = (inlier - free_space).mean(axis=0)
     score = without_silhouettes - silhouette.mean(axis=0)
     both = np.concatenate([ways.min(axis=0), ways.max(axis=0)], axis=1)
-    of_set = _of_set(then.R, score, without_silhouettes)
+    of_set = _of_set(hypotheses.R, score, without_silhouettes)
     relative = both - both[np.argmax(score)], both - both.mean(axis=0)
     return np.concatenate([both, *relative, _own(problem, hypotheses), of_set], axis=1)
 
@@ -168,7 +166,7 @@ class Verifier:
     depth: int
     baseline: float
     calibration: Mapping[str, tuple[float, float]]
-    """By effort, scale and shift of the log-odds of the chosen hypothesis, from held-out objects."""
+    """By effort or number of goal views: scale and shift of the chosen hypothesis's log-odds, from held-out objects."""
 
     def log_odds(self, values: Float[np.ndarray, "k f"]) -> Float[np.ndarray, " k"]:
         """Log-odds of the trees that the symmetry-aware error of each hypothesis is below 5 degrees."""
@@ -180,14 +178,15 @@ class Verifier:
             node = np.where(goes_left, self.left[trees, node], self.right[trees, node])
         return np.asarray(self.value[trees, node].sum(axis=1) + self.baseline)
 
-    def probability(self, log_odds: Float[np.ndarray, " k"], effort: str) -> Float[np.ndarray, " k"]:
-        """Calibrated probability; by effort, as a longer search leaves more wrong hypotheses that fit well."""
-        scale, shift = self.calibration[effort]
+    def probability(self, log_odds: Float[np.ndarray, " k"], group: str) -> Float[np.ndarray, " k"]:
+        """Calibrated probability; by effort, as a longer search leaves more wrong hypotheses that fit well, or by the
+        number of goal views."""
+        scale, shift = self.calibration[group]
         return 1 / (1 + np.exp(-(scale * log_odds + shift)))
 
 
 @cache
-def load_verifier(path: Path = WEIGHTS) -> Verifier:
+def load_verifier(path: Path = WEIGHTS, expected: tuple[str, ...] = FEATURES) -> Verifier:
     """The verifier of the package. Raises ReorientError for another kind of file, and for other features."""
     try:
         with np.load(path, allow_pickle=False) as arrays:
@@ -200,6 +199,6 @@ def load_verifier(path: Path = WEIGHTS) -> Verifier:
         raise ReorientError(
             f"cannot read the verifier {str(path)!r} ({error}): expected the package's verifier.npz"
         ) from error
-    if names != FEATURES:
+    if names != expected:
         raise ReorientError(f"the verifier {str(path)!r} was trained on the features of another version: train it anew")
     return verifier

@@ -7,6 +7,7 @@ A resumable run (``reorient.runs``), a task for each object, trial, noise and st
 
 import time
 import zlib
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,10 +20,12 @@ from reorient.controller import Limits, Step, orient
 from reorient.errors import OutOfRange, ReorientError, check_range
 from reorient.experiments.cached import cached_object
 from reorient.experiments.systems import load_system, names_of
+from reorient.imaging import Goal, GoalView
 from reorient.runs.pool import Pool
 from reorient.runs.run import Progress, Row, RowStore, Tables, resumable
 from reorient.stations.faulty import FaultyStation
 from reorient.stations.rendered import RenderedStation
+from reorient.world.goals import ALL_ROUND, rotations_away
 from reorient.world.objects import ObjectSource
 from reorient.world.rendering import load_world
 from reorient.world.sensing import randomised
@@ -59,6 +62,8 @@ class Loops:
     """Probability of a fault at each capture (stale, empty or no frame) and each move (slip, refused or partial)."""
     slack_deg: float = 0.0
     """Unreported execution error of each rotation of 30 degrees or more, in proportion less for smaller rotations."""
+    goal_views: int = 1
+    """Number of goal views: the primary one and others 60 degrees away; six are all round."""
     symmetric: bool = False
     """Use objects with a symmetry (or flat, or with few faces) instead of all."""
     world: str = "benchmark"
@@ -80,6 +85,7 @@ class Loops:
         check_range(self, "noise_mm", "slack_deg", "seed")
         check_range(self, "faults", high=1)
         check_range(self, "objects", "trials", low=1)
+        check_range(self, "goal_views", low=1, high=ALL_ROUND)
         if not (self.systems and self.start_deg):
             raise ReorientError("expected at least one system and one start")
 
@@ -125,8 +131,10 @@ def _loop(trial: Trial, system: str) -> Row:
     mesh, group = cached_object(config.source, trial.object)
     rng, rng_faults = (np.random.default_rng([key, trial.trial, stream, config.seed]) for stream in (0, 1))
     station = RenderedStation(mesh, load_world(config.world), randomised(trial.noise_mm / 1000), rng)
-    goal, R_goal = station.capture_goal(), station.R_camera_object
-    station.rotate(_start(rng, trial.start_deg))
+    primary, R_goal = station.capture_goal(), station.R_camera_object
+    R_start = _start(rng, trial.start_deg)
+    goal = Goal(primary, _further_views(station, rng, config.goal_views))
+    station.rotate(R_start)
     faulty = FaultyStation(station, rng_faults, config.faults, float(np.radians(config.slack_deg)))
     angle_deg, trajectory_deg = _error_sym_deg(station, R_goal, group), [_error_deg(station, R_goal)]
 
@@ -162,6 +170,17 @@ def _loop(trial: Trial, system: str) -> Row:
         "reason": result.reason,
     }
     return {column: str(row[column]) for column in COLUMNS}
+
+
+def _further_views(station: RenderedStation, rng: np.random.Generator, views: int) -> tuple[GoalView, ...]:
+    """Rotate the object away, capture, and rotate it back; views that show nothing are left out."""
+    found = []
+    for R in rotations_away(rng, views):
+        station.rotate(R)
+        with suppress(ReorientError):
+            found.append(GoalView(station.capture_goal(), R.T))
+        station.rotate(R.T)
+    return tuple(found)
 
 
 def _start(rng: np.random.Generator, start_deg: str) -> Float[np.ndarray, "3 3"]:

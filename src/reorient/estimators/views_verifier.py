@@ -1,0 +1,122 @@
+"""The verifier of several views: how probable a hypothesis is, given what each pair of views says about it.
+
+The verifier of two views judges each pair of a view now and a goal view. What the pairs say is not independent, and a
+pair that hardly overlaps says little. So its log-odds and the most telling features of all pairs, as least, mean and
+largest, go through boosted trees of their own (``verifier-views.npz``), trained on problems of several views; without
+that file a fixed combination stands in. A problem of two views needs neither.
+"""
+
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from reorient import so3
+from reorient.estimators.verifier import FEATURES, Verifier, features, load_verifier
+from reorient.registration import INLIER_TOLERANCE, Hypotheses, Problem
+
+WEIGHTS = Path(__file__).with_name("verifier-views.npz")
+POINTS = 1000  # of each image where there is one pair
+LEAST_WEIGHT = 0.05  # of a pair, for the share of its points that are not occluded
+COMBINED = (0.79, 0.72)  # Platt scaling of the fixed combination, on 73 pairs of tuning objects with 3 and 6 views
+
+_TOLD = tuple(
+    f"{way} {name}"
+    for name in (
+        *(f"{x} {INLIER_TOLERANCE}" for x in ("inlier", "covisible inlier", "free space")),
+        *("silhouette", "occluded", "occluded and facing", "median residual", "normals agree"),
+    )
+    for way in ("least", "most")
+)
+_LOG_ODDS = ("largest", "second", "mean", "weighted mean", "least")
+VIEWS_FEATURES = (
+    *(f"{x} log-odds" for x in _LOG_ODDS),
+    *(f"{x} log-odds less the best's" for x in _LOG_ODDS),
+    *(f"{how} of {x}" for x in _TOLD for how in ("least", "mean", "largest")),
+    *("score", "less than best", "lead over next", "near a better one", "competing"),
+    *("angle", "prior distance2", "pivot known", "views now", "goal views"),
+)
+
+
+def judge(
+    problem: Problem, hypotheses: Hypotheses, effort: str
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """The log-odds of each hypothesis of a search with an effort, and its calibrated probability, from all pairs of
+    views."""
+    verifier = load_verifier()
+    each = [features(*pair) for pair in problem.each_pair(hypotheses)]
+    log_odds = np.stack([verifier.log_odds(x) for x in each])
+    if len(each) == 1:
+        return log_odds[0], verifier.probability(log_odds[0], effort)
+    trained = load_views_verifier()
+    if trained is None and len(problem.goal_views) == 1:
+        return log_odds.mean(axis=0), verifier.probability(log_odds.mean(axis=0), effort)
+    if trained is None:
+        combined = _summary(each, log_odds)[[0, 3]].mean(axis=0)
+        scale, shift = COMBINED
+        return combined, 1 / (1 + np.exp(-(scale * combined + shift)))
+    combined = trained.log_odds(views_features(problem, hypotheses, each, log_odds))
+    return combined, trained.probability(combined, group_of(len(problem.goal_views)))
+
+
+def views_features(
+    problem: Problem,
+    hypotheses: Hypotheses,
+    each: Sequence[Float[np.ndarray, "k f"]],
+    log_odds: Float[np.ndarray, "pairs k"],
+) -> Float[np.ndarray, "k g"]:
+    """The features, one column for each of ``VIEWS_FEATURES``; ``each``: those of each pair, with its log-odds."""
+    summary = _summary(each, log_odds)
+    told = np.stack([[x[:, FEATURES.index(name)] for name in _TOLD] for x in each])  # (pairs, names, k)
+    stated = np.stack([told.min(axis=0), told.mean(axis=0), told.max(axis=0)], axis=1).reshape(-1, len(hypotheses))
+    k, prior = len(hypotheses), problem.prior
+    own = [
+        so3.angle(hypotheses.R),
+        np.minimum(prior.mahalanobis2(hypotheses.R, hypotheses.t_m), 100.0),
+        np.full(k, float(prior.known)),
+        np.full(k, float(len(problem.views_now))),
+        np.full(k, float(len(problem.goal_views))),
+    ]
+    of_set = _of_set(hypotheses, problem.image_score(hypotheses, INLIER_TOLERANCE, POINTS))
+    return np.stack([*summary, *(summary - summary.max(axis=1, keepdims=True)), *stated, *of_set, *own], axis=1)
+
+
+def _summary(
+    each: Sequence[Float[np.ndarray, "k f"]], log_odds: Float[np.ndarray, "pairs k"]
+) -> Float[np.ndarray, "5 k"]:
+    """The log-odds of the pairs as in ``_LOG_ODDS``; the weight of a pair is the share of its points not occluded."""
+    hidden = [
+        sum(x[:, FEATURES.index(f"{way} {name}")] for way in ("least", "most") for name in ("occluded", "unknown")) / 2
+        for x in each
+    ]
+    weight = np.clip(1 - np.stack(hidden), LEAST_WEIGHT, 1)
+    ordered = np.sort(log_odds, axis=0)
+    weighted = (weight * log_odds).sum(axis=0) / weight.sum(axis=0)
+    return np.stack([ordered[-1], ordered[-2], log_odds.mean(axis=0), weighted, ordered[0]])
+
+
+def _of_set(hypotheses: Hypotheses, score: Float[np.ndarray, " k"]) -> list[Float[np.ndarray, " k"]]:
+    """The score, and how it compares with those of the other hypotheses."""
+    k = len(hypotheses)
+    between = so3.angle_difference(hypotheses.R[:, None], hypotheses.R[None])
+    others = np.where(np.eye(k, dtype=bool), -np.inf, score[None])
+    return [
+        score,
+        score.max() - score,
+        score - np.maximum(others.max(axis=1), -1.0),
+        np.where(score[None] > score[:, None], between, np.pi).min(axis=1),
+        np.sum((others > score[:, None] - 0.05) & (between > np.radians(10)), axis=1).astype(float),
+    ]
+
+
+def group_of(goal_views: int) -> str:
+    """The name of the calibration of so many goal views."""
+    return f"{min(goal_views, 6)} goal views"
+
+
+@cache
+def load_views_verifier(path: Path = WEIGHTS) -> Verifier | None:
+    """The trained verifier of several views; None where there is none. Raises ReorientError as ``load_verifier``."""
+    return load_verifier(path, VIEWS_FEATURES) if path.is_file() else None

@@ -1,0 +1,79 @@
+"""The symmetry of a goal that shows all sides."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from reorient import so3
+from reorient.controller.arrival import Observation
+from reorient.controller.hypotheses import BeliefSettings, Viewpoint, hypotheses_of
+from reorient.estimators import load_estimator
+from reorient.estimators.goal_symmetry import shows_all_sides, symmetries
+from reorient.imaging import Goal
+from reorient.registration import aligned_goal
+from reorient.world.goals import sample_goal
+from reorient.world.pairs import sample_pair
+from reorient.world.rendering import Renderer, load_world
+from reorient.world.sensing import Sensor
+
+WORLD = load_world("benchmark")
+
+
+def pair_and_goal(mesh, views, angle_deg=170):
+    """A box's three half rotations are its symmetries."""
+    rng, renderer, angle = np.random.default_rng(3), Renderer(mesh), np.radians(angle_deg)
+    pair = sample_pair(rng, renderer, WORLD, Sensor(noise_m=0.0005), angle, angle)
+    goal, _ = aligned_goal(sample_goal(rng, renderer, WORLD, Sensor(noise_m=0.0005), pair, views), pair.pivot_m)
+    return pair, goal
+
+
+@pytest.fixture(scope="module")
+def box():
+    return pair_and_goal(trimesh.creation.box((1.0, 0.7, 0.4)), 6)
+
+
+def test_a_box_has_three_half_rotations(box):
+    pair, goal = box
+    group = symmetries(goal)
+    np.testing.assert_allclose(np.degrees(so3.angle(group.R)), 180, atol=2)
+    to_goal = pair.R_goal_current @ pair.R_camera_object
+    axes = np.array([so3.log(R) / np.pi for R in to_goal.T @ group.R @ to_goal])
+    np.testing.assert_allclose(np.sort(np.abs(axes).argmax(axis=1)), [0, 1, 2])
+
+
+def test_no_symmetry_of_an_asymmetric_object_nor_of_few_views(mesh, box):
+    assert len(symmetries(pair_and_goal(mesh, 6)[1])) == 0
+    few = Goal(box[1].image, box[1].views[:2])
+    assert shows_all_sides(box[1])
+    assert not shows_all_sides(few)
+    assert len(symmetries(few)) == 0
+
+
+def test_the_smallest_equivalent_is_the_answer_without_doubt(box):
+    pair, goal = box
+    estimate = load_estimator("fast").estimate(pair.current, goal, pair.pivot_m)
+    same = np.stack([pair.R_goal_current, *(S @ pair.R_goal_current for S in symmetries(goal).R)])
+    smallest = same[np.argmin(so3.angle(same))]
+    assert np.degrees(so3.angle_difference(estimate.R_goal_current, smallest)) < 3
+    for R, _ in estimate.alternatives:
+        assert np.degrees(so3.angle_difference(same, R)).min() > 10
+    assert len(estimate.symmetries) == 3
+
+
+def test_equivalent_answers_from_two_sides_are_one_hypothesis(box):
+    """From another viewpoint another one of the equivalent rotations is the smallest."""
+    pair, goal = box
+    estimate = load_estimator("fast").estimate(pair.current, goal, pair.pivot_m)
+    R, S = estimate.R_goal_current, estimate.symmetries[0]
+    other = replace(estimate, R_goal_current=S @ R)
+    views = [
+        Viewpoint((Observation(pair.current, x),), R_then) for x, R_then in ((estimate, np.eye(3)), (other, np.eye(3)))
+    ]
+    assert len(hypotheses_of(views, BeliefSettings())) == 1
+    distinct = [
+        replace(x, observations=(Observation(pair.current, replace(x.observations[0].estimate, symmetries=())),))
+        for x in views
+    ]
+    assert len(hypotheses_of(distinct, BeliefSettings())) == 2
