@@ -18,6 +18,7 @@ from reorient.runs.files import make_folder
 
 if TYPE_CHECKING:
     from reorient.controller import Limits, OrientResult, Step, Strategy
+    from reorient.imaging import Goal
     from reorient.stations.replay import ReplayedStation
 
 EXIT_CODES = {"converged": 0, "dry_run": 0, "interrupted": 130}  # of the other statuses: 1
@@ -127,7 +128,7 @@ class Orient:
     """
 
     goal: Positional[Path]
-    """Depth image of the object as it should be, as written by ``reorient capture``."""
+    """Depth image of the object as it should be, or a goal of several views, as written by ``reorient capture``."""
     frames: GoalFrame = field(default_factory=GoalFrame)
     isolate_station: bool = False
     """Isolate the images of the station by the same options, by the first of two values."""
@@ -152,7 +153,7 @@ class Orient:
         chosen = self.limit_choice.of(self.choice.own)
         strategy, limits = self.strategy_choice.load(), chosen.limits()
         self.choice.check()
-        goal, estimator = self.frames.read(self.goal, goal=True).isolated, load_estimator(self.estimator)
+        goal, estimator = self.frames.read(self.goal, goal=True).goal, load_estimator(self.estimator)
         if self.out is not None:
             make_folder(self.out)
         station = self.choice.open()
@@ -268,7 +269,13 @@ class _Printer:
 
 
 def _close_loop(
-    station: Any, goal: Any, estimator: Any, strategy: "Strategy | None", limits: "Limits", out: Path | None, title: str
+    station: Any,
+    goal: "Goal",
+    estimator: Any,
+    strategy: "Strategy | None",
+    limits: "Limits",
+    out: Path | None,
+    title: str,
 ) -> int:
     """Run the loop, print its decisions and its outcome, write its page; the exit code."""
     from reorient.controller import orient
@@ -280,6 +287,6 @@ def _close_loop(
         station.finish(result)
     code = print_outcome(result)
     if out is not None and result.steps:
-        for path in write_loop(out, goal, result, [], title):
+        for path in write_loop(out, goal.image, result, [], title):
             print(path)
     return code
