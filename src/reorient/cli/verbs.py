@@ -36,6 +36,11 @@ class Verb:
 GROUPS = {
     "estimate": {
         "estimate": Verb("estimating:Estimate", "Estimate the rotation between two depth images of one object."),
+        "transfer": Verb("transferring:Transfer", "Transfer taught tool poses to where the object is now."),
+    },
+    "goal": {
+        "goal check": Verb("goals:Check", "State what a goal can and cannot tell."),
+        "goal from-mesh": Verb("goals:FromMesh", "Render a goal from a mesh."),
     },
     "robot": {
         "new-robot": Verb("robot_setup:NewRobot", "Write a commented robot.toml to fill in."),

@@ -37,6 +37,9 @@ class RotationEstimate:
     free_axis: Float[np.ndarray, "3"] | None = None
     """Unit axis, the goal's camera axes, about which every rotation fits, as of a solid of revolution; the answer is
     then the smallest of these rotations. None if there is none."""
+    motion_covariance: Float[np.ndarray, "6 6"] | None = None
+    """Covariance of the rotation vector d (rad) and the shift u (m) in p_true = exp(d) p_goal + u, camera axes, for
+    points p_goal of the answer, if it is near the truth; None if unknown. Its first block is ``covariance_rad2``."""
     warnings: tuple[str, ...] = ()
     """What was found wrong with the input, a sentence each."""
 

@@ -153,7 +153,7 @@ def polished(verified: Verified) -> RotationEstimate:
     chosen, axis = smallest_equivalent(problem, hypotheses[np.array([best])], hypotheses[distinct[1:]])
     others = distinct[so3.angle_difference(hypotheses.R[distinct], chosen.R[0]) > DISTINCT_RAD]
     answer = polish(problem, chosen)
-    covariance_rad2, converged = uncertainty(problem, answer.hypothesis)
+    covariance, converged = uncertainty(problem, answer.hypothesis)
     estimate = with_evidence(
         verified.problem.current,
         verified.problem.goal,
@@ -163,7 +163,8 @@ def polished(verified: Verified) -> RotationEstimate:
         iterations=answer.iterations,
         confidence=verified.confidence,
         alternatives=tuple((hypotheses.R[i], float(share[i])) for i in others),
-        covariance_rad2=covariance_rad2,
+        covariance_rad2=covariance[:3, :3],
+        motion_covariance=covariance,
         free_axis=axis,
         warnings=verified.warnings,
     )
