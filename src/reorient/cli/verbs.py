@@ -47,7 +47,7 @@ GROUPS = {
         "calibrate": Verb("robot_setup:Calibrate", "Find the camera's pose and the pivot by rotating the held object."),
         "check": Verb("robot_setup:Check", "Check a robot cell by small motions, and name a mistake in words."),
         "demo": Verb("demo:Demo", "Rotate a simulated object to a goal, and write a GIF and a page of the run."),
-        "capture": Verb("stations:Capture", "Capture the goal image at a station."),
+        "capture": Verb("capturing:Capture", "Capture the goal at a station."),
         "orient": Verb("robot:Orient", "Rotate the object at a station until it matches the goal image."),
         "replay": Verb("robot:Replay", "Run a recorded loop again, without its station."),
     },

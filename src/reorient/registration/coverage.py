@@ -1,6 +1,6 @@
 """The share of an object's surface that the views of a goal show, without a model of the object.
 
-The object is carved out of a cube of cells: what a view saw through is empty, what lies at a return is surface, the
+The object is carved out of a box of cells: what a view saw through is empty, what lies at a return is surface, the
 rest may be object (the visual hull). From each direction the outermost cells are looked at: surface that a view showed,
 or cells that none did. Rotations about the optical axis change no share, so directions stand for orientations.
 """
@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from reorient.imaging import Goal
 from reorient.registration.depth_view import DepthView
 
-CELLS = 40  # along each edge of the cube. Not tuned
+CELLS = 60  # along the diagonal of the box. Not tuned
 DIRECTIONS = 200
 ENOUGH = 0.5  # share of the visible surface, above which a start overlaps with the goal. Not tuned
 _WIDTHS = 1.0  # of a cell: largest distance of a surface cell from its return, along the optical axis
@@ -41,20 +41,19 @@ def coverage(goal: Goal) -> Coverage:
 
 
 def _hull(goal: Goal) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"], float]:
-    """Cells that may be object (goal pose, metres, about their middle), which of them a view showed, and their size."""
+    """Cells that may be object (goal pose, metres), which of them a view showed, and their size."""
     views = [(DepthView(goal.image), np.eye(3), np.zeros(3))]
     for view in goal.views:
         t_m = np.zeros(3) if view.t_goal_view_m is None else view.t_goal_view_m
         views.append((DepthView(view.image), view.R_goal_view, t_m))
     clouds = [view.points_m.astype(float) @ R.T + t_m for view, R, t_m in views]
-    center_m, diameter_m = _ball(clouds)
-    cell_m = diameter_m / CELLS
-    grid = np.stack(np.meshgrid(*[np.arange(CELLS)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    cells_m = (grid - (CELLS - 1) / 2) * cell_m
-    cells_m = cells_m[np.linalg.norm(cells_m, axis=1) <= diameter_m / 2]
+    low, high = _box(clouds)
+    cell_m = float(np.linalg.norm(high - low)) / CELLS
+    axes = [np.arange(a + cell_m / 2, b, cell_m) for a, b in zip(low, high, strict=True)]
+    cells_m = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     solid, shown = np.ones(len(cells_m), bool), np.zeros(len(cells_m), bool)
     for seen, R, t_m in views:
-        warped = seen.warp(((cells_m + center_m - t_m) @ R).T)
+        warped = seen.warp(((cells_m - t_m) @ R).T)
         tolerance_m = _WIDTHS * cell_m
         shown |= warped.inlier(tolerance_m)
         solid &= ~warped.violation(tolerance_m)
@@ -62,14 +61,13 @@ def _hull(goal: Goal) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"],
     return cells_m[solid], shown[solid], cell_m
 
 
-def _ball(clouds: Sequence[Float[np.ndarray, "_ 3"]]) -> tuple[Float[np.ndarray, "3"], float]:
-    """Centre and diameter of a ball that holds the object: about the box of its returns, behind those of one view."""
+def _box(clouds: Sequence[Float[np.ndarray, "_ 3"]]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Lowest and highest x, y, z of the object. One view does not show its depth: it is taken as its mean width."""
     low, high = np.percentile(np.concatenate(clouds), [0.5, 99.5], axis=0)
-    diameter_m = 1.1 * float(np.linalg.norm(high - low))
-    center_m = (low + high) / 2
-    if len(clouds) == 1:  # the object continues behind what is visible
-        center_m[2] = low[2] + diameter_m / 2
-    return center_m, diameter_m
+    if len(clouds) == 1:
+        high[2] = max(high[2], low[2] + float(np.mean((high - low)[:2])))
+    margin_m = 0.03 * float(np.linalg.norm(high - low))
+    return low - margin_m, high + margin_m
 
 
 def _share(
