@@ -10,6 +10,7 @@ from reorient import so3
 _TILTS_DEG = (30, 45, 60, 75, 90, 105, 120, 150, 180)  # of the candidates. Not tuned
 _AZIMUTHS = 12
 _ROUNDS = 3  # of exchanging chosen candidates; more change nothing
+_ALL_ROUND = 5  # with fewer views none is tilted by more than 90 degrees, as views must overlap to be aligned
 _TILT_COST = 1e-3  # of a candidate's angle: of two that show as much the smaller rotation is taken
 
 
@@ -19,9 +20,10 @@ def spread_rotations(
     """At most ``count`` rotations (camera axes, left) whose views, with the present one, spread over all directions.
 
     Of the candidates that are ``reachable`` those are chosen with the smallest mean squared angle from any viewing
-    direction to the nearest of theirs. They are in an order in which the rotations between them are small.
+    direction to the nearest of theirs; fewer than five are within 90 degrees of the present one. They are in an order in which the rotations between them are small.
     """
-    candidates = [so3.exp(x) for x in _tilts()]
+    largest_rad = np.pi if count >= _ALL_ROUND else np.pi / 2
+    candidates = [so3.exp(x) for x in _tilts() if np.linalg.norm(x) <= largest_rad + 1e-9]
     candidates = [R for R in candidates if reachable is None or reachable(R)]
     count = min(count, len(candidates))
     if count <= 0:
