@@ -29,6 +29,7 @@ from reorient.errors import ReorientError
 from reorient.estimators.search import EFFORTS, Effort, search
 from reorient.estimators.verifier import features, load_verifier
 from reorient.experiments.evaluation import Evaluation, answer_cells, measure_pairs
+from reorient.imaging.goal import Goal
 from reorient.registration import INLIER_TOLERANCE, Hypotheses, Problem, build_problem
 from reorient.reporting.rows import estimators, numbers, read_rows
 from reorient.runs.pool import Pool
@@ -94,7 +95,7 @@ class Stages:
 
 
 def ablate(
-    config: Evaluation, pair: Pair, group: SymmetryGroup, pivot_m: Float[np.ndarray, "3"] | None
+    config: Evaluation, pair: Pair, goal: Goal, group: SymmetryGroup, pivot_m: Float[np.ndarray, "3"] | None
 ) -> list[dict[str, Any]]:
     """The answer of each variant; a set of hypotheses serves all variants that share it."""
     sets: dict[Effort, tuple[Problem, Hypotheses, float]] = {}
@@ -102,13 +103,13 @@ def ablate(
     for name in config.estimators:
         if name not in VARIANTS:
             begin = time.process_time()
-            R = load_estimator(name).estimate(pair.current, pair.goal, pivot_m).R_goal_current
+            R = load_estimator(name).estimate(pair.current, goal, pivot_m).R_goal_current
             seconds = time.process_time() - begin
         else:
             variant = VARIANTS[name]
             if variant.effort not in sets:
                 begin = time.process_time()
-                problem = build_problem(pair.current, pair.goal, pivot_m)
+                problem = build_problem(pair.current, goal, pivot_m)
                 hypotheses = search(problem, variant.effort).hypotheses
                 hypotheses = hypotheses[np.argsort(-problem.score(hypotheses, *SCORED), kind="stable")]
                 sets[variant.effort] = problem, hypotheses, time.process_time() - begin

@@ -152,7 +152,7 @@ def test_ordinary_objects_can_go_on(tmp_path):
 
 
 def test_anything_can_be_measured_of_the_same_pairs(finished, tmp_path):
-    def truth(config, pair, group, pivot_m):
+    def truth(config, pair, goal, group, pivot_m):
         assert (pivot_m is None) != config.pivot
         return [answer_cells(pair.R_goal_current, pair, group) for _ in config.estimators]
 

@@ -143,12 +143,12 @@ def test_earlier_observations_are_put_in_place_where_the_pivot_is_wrong(mesh):
     R_then = so3.sample_uniform(rng, 1)[0]
     then, now = (DepthImage(renderer.depth(WORLD.camera, x, placement), WORLD.camera) for x in (R_then, R @ R_then))
     problem = build_problem(now, now, center + 0.008, [(then, R)])
-    assert len(problem.observations) == 2
-    np.testing.assert_array_equal(problem.observations[1].R_now_then, R)
-    moved = R @ center + problem.observations[1].t_now_then_m
+    assert len(problem.views_now) == 2
+    np.testing.assert_array_equal(problem.views_now[1].R_first_view, R)
+    moved = R @ center + problem.views_now[1].t_first_view_m
     assert np.linalg.norm(moved - center) < 0.003
     assert (
-        len(build_problem(now, now, center, [(now, so3.exp(np.array([0.0, 0.05, 0.0])))]).observations) == 1
+        len(build_problem(now, now, center, [(now, so3.exp(np.array([0.0, 0.05, 0.0])))]).views_now) == 1
     )  # shows nothing new
 
 

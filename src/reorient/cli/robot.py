@@ -137,6 +137,8 @@ class Orient:
     """One of default (rotation-search), rotation-search, fast, thorough, gicp, icp, paper and swift, an .onnx file,
     or your own module:Class."""
     strategy_choice: StrategyChoice = field(default_factory=StrategyChoice)
+    translation: bool = False
+    """Bring the object to the place of the goal, too, where the station can move it; at most 0.3 m at once."""
     limit_choice: LimitChoice = field(default_factory=LimitChoice)
     record: Path | None = None
     """New folder for a recording of all images and moves, which ``reorient replay`` reads."""
@@ -164,6 +166,7 @@ class Orient:
             about = {
                 "estimator": weights.name if weights else self.estimator,
                 "strategy": asdict(self.strategy_choice),
+                "translation": self.translation,
                 "limits": asdict(chosen) | {"confirm_first_move": False, "timeout_s": None},
                 "station": self.choice.station,
                 "version": __version__,
@@ -172,7 +175,7 @@ class Orient:
             station = RecordingStation(station, self.record, goal, about)
             if weights:
                 shutil.copy(weights, self.record)
-        return _close_loop(station, goal, estimator, strategy, limits, self.out, f"Station {self.choice.station}")
+        return _close_loop(station, goal, estimator, strategy, limits, self.out, f"Station {self.choice.station}", self.translation)
 
 
 @dataclass(frozen=True)
@@ -211,7 +214,8 @@ class Replay:
         estimator = load_estimator(estimator_name)
         if self.out is not None:
             make_folder(self.out)
-        return _close_loop(station, station.goal(), estimator, strategy, limits, self.out, f"Record {self.record.name}")
+        title, translation = f"Record {self.record.name}", bool(station.record.get("translation", False))
+        return _close_loop(station, station.goal(), estimator, strategy, limits, self.out, title, translation)
 
     def _recorded_estimator(self, station: "ReplayedStation") -> str:
         """The estimator that the record names: of the package, or weights within the record."""
@@ -233,7 +237,8 @@ def print_outcome(result: "OrientResult") -> int:
         print(f"error during the loop: {error}")
     moves = f"{result.moves} move" + "s" * (result.moves != 1)
     if result.converged:
-        print(f"converged after {moves}, confidence {confidence_in_words(result.confidence)}")
+        place = "" if result.distance_m is None else f", {1000 * result.distance_m:.1f} mm from the goal's place"
+        print(f"converged after {moves}{place}, confidence {confidence_in_words(result.confidence)}")
     elif code:
         print(f"reorient: not converged after {moves} ({result.status}): {result.reason}", file=sys.stderr)
     else:
@@ -241,14 +246,15 @@ def print_outcome(result: "OrientResult") -> int:
     return code
 
 
-def _confirmed(R_step: np.ndarray) -> bool:
-    """Ask at the terminal, below the reason for the move; no answer is a no."""
+def _confirmed(step: np.ndarray) -> bool:
+    """Ask at the terminal, below the reason for the move; no answer is a no. ``step``: a rotation or a translation."""
     from reorient import so3
 
-    rotvec = np.degrees(so3.log(R_step))
-    vector = " ".join(f"{x:.1f}" for x in rotvec)
-    angle_deg = np.linalg.norm(rotvec)
-    print(f"first move: {angle_deg:.1f} deg (rotation vector [{vector}] deg, camera axes)", file=sys.stderr)
+    rotates = step.shape == (3, 3)
+    move = np.degrees(so3.log(step)) if rotates else 1000 * step[:3, 3]
+    kind, unit = ("rotation vector", "deg") if rotates else ("translation", "mm")
+    vector = " ".join(f"{x:.1f}" for x in move)
+    print(f"first move: {np.linalg.norm(move):.1f} {unit} ({kind} [{vector}] {unit}, camera axes)", file=sys.stderr)
     print("make this move? [y/N]", file=sys.stderr, flush=True)
     try:
         return input().strip().lower() in ("y", "yes")
@@ -276,13 +282,14 @@ def _close_loop(
     limits: "Limits",
     out: Path | None,
     title: str,
+    translation: bool,
 ) -> int:
     """Run the loop, print its decisions and its outcome, write its page; the exit code."""
     from reorient.controller import orient
     from reorient.reporting import write_loop
     from reorient.stations.replay import RecordingStation
 
-    result = orient(station, goal, estimator, strategy, limits=limits, subscribers=[_Printer()])
+    result = orient(station, goal, estimator, strategy, limits=limits, subscribers=[_Printer()], translation=translation)
     if isinstance(station, RecordingStation):
         station.finish(result)
     code = print_outcome(result)

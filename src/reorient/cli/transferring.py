@@ -58,7 +58,7 @@ class Transfer:
         """Read, estimate, transfer, write; the exit code."""
         from reorient.estimators import load_estimator
         from reorient.estimators.base import as_estimate
-        from reorient.perception.transfer import read_tool_poses, transfer, write_tool_poses
+        from reorient.perception.transfer import read_tool_poses, tool_poses_text, transfer, write_tool_poses
 
         taught, T_base_camera = read_tool_poses(self.poses), _camera_pose(self.calibration)
         estimator = load_estimator(self.estimator)
@@ -82,7 +82,7 @@ class Transfer:
         print(f"confidence    {confidence_in_words(estimate.confidence)}", file=out)
         print(_deviations(result), file=out)
         if self.out is None:
-            write_tool_poses(sys.stdout, result.T_base_tool)
+            print(tool_poses_text(result.T_base_tool), end="")
         else:
             write_tool_poses(self.out, result.T_base_tool)
             print(self.out)

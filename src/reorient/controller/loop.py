@@ -21,8 +21,9 @@ from reorient.controller.positioning import Positioning
 from reorient.controller.session import Session, StationHangs
 from reorient.controller.station import Station, missing_members, pivot_of
 from reorient.errors import ReorientError
-from reorient.estimators.base import Estimator, RotationEstimate, as_estimate, check_pair
+from reorient.estimators.base import Estimator, RotationEstimate, as_estimate, check_pair, for_any_goal
 from reorient.imaging import DepthImage
+from reorient.imaging.goal import Goal, as_goal
 from reorient.plugins import PROGRAMMING_ERRORS, USER_ERRORS, in_words
 
 MIN_GAIN_RAD = float(np.radians(0.5))
@@ -37,7 +38,7 @@ _STRATEGY = ("max_images", "patience", "undoes_moves", "history", "start", "deci
 
 def orient(
     station: Station,
-    goal: DepthImage,
+    goal: DepthImage | Goal,
     estimator: Estimator,
     strategy: Strategy | None = None,
     pivot_m: Float[np.ndarray, "3"] | None = None,
@@ -47,6 +48,7 @@ def orient(
 ) -> OrientResult:
     """Rotate the object at the station until it matches the goal.
 
+    An estimator that knows one goal view (see ``load_estimator``) receives the primary view of a ``Goal``.
     ``strategy`` None: ``Fusing`` for an estimator with a calibrated confidence, Algorithm 1 for any other. ``pivot_m``:
     rotation centre, camera axes; None: the station's own. Subscribers are called with each step, after its move; where
     one has a method ``decided``, this is called with the step before the move, too.
@@ -58,8 +60,7 @@ def orient(
     to the place of the goal, too, by ``station.move``: roughly before the loop, exactly once it has converged. Raises
     ReorientError for bad arguments, before anything moves.
     """
-    if not isinstance(goal, DepthImage):
-        raise ReorientError(f"goal is a {type(goal).__name__}: expected DepthImage(depth_m, camera)")
+    goal = as_goal(goal)
     for thing, members in (
         (station, ("capture", "rotate", "pivot_m", *(["move"] * translation))),
         (estimator, ("estimate",)),
@@ -70,8 +71,8 @@ def orient(
     if not isinstance(limits, Limits | None):
         raise ReorientError(f"limits {limits!r}: expected reorient.Limits, or None")
     pivot_m = pivot_of(station) if pivot_m is None else pivot_m
-    check_pair(goal, goal, pivot_m)
-    loop = _Loop(station, goal, estimator, strategy, pivot_m, limits or Limits(), subscribers)
+    check_pair(goal.image, goal, pivot_m)
+    loop = _Loop(station, goal, for_any_goal(estimator), strategy, pivot_m, limits or Limits(), subscribers)
     try:
         return loop.run_in_place() if translation else loop.run()
     finally:
@@ -92,7 +93,7 @@ class _Loop:
     def __init__(
         self,
         station: Station,
-        goal: DepthImage,
+        goal: Goal,
         estimator: Estimator,
         strategy: Strategy | None,
         pivot_m: Float[np.ndarray, "3"] | None,
@@ -148,7 +149,7 @@ class _Loop:
         try:
             history = history_of(self.steps) if self.strategy is not None and self.strategy.history else ()
             answer = self.estimator.estimate(image, self.goal, self.pivot_m, history)
-            return image, as_estimate(answer, image, self.goal)
+            return image, as_estimate(answer, image, self.goal.image)
         except USER_ERRORS as error:
             self.failed("estimator_failed", f"the estimator failed: {in_words(error)}", error)
             return None
@@ -161,7 +162,7 @@ class _Loop:
         self.check_motion()
         try:
             if self.belief is None:
-                self.belief = self.strategy.start(self.goal)
+                self.belief = self.strategy.start(self.goal.image)
             self.belief = self.belief.updated(self.steps[-1])
             decision = self.strategy.decide(self.belief, self.session.reachable)
         except USER_ERRORS as error:  # it may be the user's own; the record must survive it

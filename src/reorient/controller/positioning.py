@@ -45,13 +45,13 @@ class Positioning:
     """The moves of one loop. Its methods raise StationError, and whatever station and estimator raise."""
 
     session: Session
-    goal: DepthImage | Goal
+    goal: Goal
     estimator: Estimator
     limits: Limits
 
     def approach(self) -> Float[np.ndarray, "3"]:
         """Bring the middle of the visible part to the goal's; the executed translation of the object."""
-        shift_m = _middle_m(_image(self.goal)) - _middle_m(self.session.capture())
+        shift_m = _middle_m(self.goal.image) - _middle_m(self.session.capture())
         distance_m = float(np.linalg.norm(shift_m))
         if distance_m <= COARSE_M:
             return np.zeros(3)
@@ -104,7 +104,7 @@ class Positioning:
         shifts = []
         for _ in range(CAPTURES):
             image = self.session.capture()
-            estimate = as_estimate(self.estimator.estimate(image, self.goal, None, ()), image, _image(self.goal))
+            estimate = as_estimate(self.estimator.estimate(image, self.goal, None, ()), image, self.goal.image)
             if estimate.angle_rad <= LARGEST_ROTATION_RAD:
                 middle_m = _middle_m(image)
                 shifts.append(se3.apply(estimate.T_goal_current, middle_m) - middle_m)
@@ -113,10 +113,6 @@ class Positioning:
                 f"no estimate below {np.degrees(LARGEST_ROTATION_RAD):.0f} deg tells the position of the object"
             )
         return np.asarray(np.median(shifts, axis=0))
-
-
-def _image(goal: DepthImage | Goal) -> DepthImage:
-    return goal.image if isinstance(goal, Goal) else goal
 
 
 def _middle_m(image: DepthImage) -> Float[np.ndarray, "3"]:

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from reorient.errors import ReorientError, unknown_name
-from reorient.estimators.base import Estimator
+from reorient.estimators.base import Estimator, for_any_goal
 from reorient.plugins import make_own
 
 NAMES = ("default", "rotation-search", "fast", "thorough", "gicp", "icp", "paper", "swift")
@@ -17,10 +17,17 @@ def load_estimator(name: str = "default") -> Estimator:
     and ``swift``: networks, up to 30 degrees. ``my.onnx``: weights that ``reorient export`` wrote.
     ``my_module:MyEstimator``: a class, imported (the working folder included) and called without arguments.
 
+    Of a goal of several views ``rotation-search``, ``fast`` and ``thorough`` use all; the others, and a user's own that
+    does not state ``several_views = True``, receive the primary one.
+
     Raises ReorientError, a ValueError, for an unknown name.
     """
     if not isinstance(name, str):
         raise ReorientError(f"estimator {name!r}: expected a name, a string")
+    return for_any_goal(_load(name))
+
+
+def _load(name: str) -> Estimator:
     if name.lower().endswith(".onnx"):
         from reorient.estimators.learned import Learned
 

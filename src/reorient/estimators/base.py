@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -11,7 +11,9 @@ from reorient import se3, so3
 from reorient.errors import ReorientError
 from reorient.imaging import DepthImage
 from reorient.imaging.depth_image import MILLIMETRES_ABOVE
+from reorient.imaging.goal import Goal
 from reorient.imaging.refusals import require_isolated
+from reorient.imaging.summary import check_scale
 from reorient.registration import DepthView, Evidence, inlier_tolerance_m, measure_evidence
 
 History = Sequence[tuple[DepthImage, Float[np.ndarray, "3 3"]]]
@@ -71,36 +73,77 @@ class Estimator(Protocol):
     def estimate(
         self,
         current: DepthImage,
-        goal: DepthImage,
+        goal: Any,
         pivot_m: Float[np.ndarray, "3"] | None = None,
         history: History = (),
     ) -> RotationEstimate:
         """The rotation from current to goal. ``pivot_m``: rotation centre in camera axes, good to about 1 cm, if known.
+
+        ``goal``: a DepthImage; also a Goal where the estimator states ``several_views = True`` (see ``for_any_goal``).
 
         Raises ReorientError for images that cannot be compared.
         """
         ...
 
 
+@dataclass(frozen=True)
+class OneView:
+    """An estimator that knows one goal view: of a ``Goal`` it receives the primary view."""
+
+    estimator: Estimator
+    several_views: ClassVar[bool] = True
+
+    def estimate(
+        self,
+        current: DepthImage,
+        goal: DepthImage | Goal,
+        pivot_m: Float[np.ndarray, "3"] | None = None,
+        history: History = (),
+    ) -> RotationEstimate:
+        """As ``Estimator.estimate``."""
+        return self.estimator.estimate(current, goal.image if isinstance(goal, Goal) else goal, pivot_m, history)
+
+    def __getattr__(self, name: str) -> Any:
+        """All else is the estimator's own."""
+        if name == "estimator":  # not there yet: while it is being copied or unpickled
+            raise AttributeError(name)
+        return getattr(self.estimator, name)
+
+
+def for_any_goal(estimator: Estimator) -> Estimator:
+    """The estimator itself where it states ``several_views = True``, else one that gives it the primary view."""
+    return estimator if getattr(estimator, "several_views", False) else OneView(estimator)
+
+
 def check_pair(
-    current: DepthImage, goal: DepthImage, pivot_m: Float[np.ndarray, "3"] | None = None, fewest: int = 20
+    current: DepthImage, goal: DepthImage | Goal, pivot_m: Float[np.ndarray, "3"] | None = None, fewest: int = 20
 ) -> None:
-    """Raise ReorientError for input that no estimator can use: few returns, no isolated object, a bad pivot."""
-    for name, image in (("current", current), ("goal", goal)):
+    """Raise ReorientError for input that no estimator can use: few returns, no isolated object, a goal of several
+    views of another size, a bad pivot."""
+    further = goal.views if isinstance(goal, Goal) else ()
+    primary = goal.image if isinstance(goal, Goal) else goal
+    named = [("current", current), ("goal", primary), *((f"goal view {k}", x.image) for k, x in enumerate(further, 1))]
+    for name, image in named:
         if not isinstance(image, DepthImage):
             raise ReorientError(f"{name} is a {type(image).__name__}: expected DepthImage(depth_m, camera)")
         if (returns := np.count_nonzero(image.depth_m)) < fewest:
             raise ReorientError(f"{name} image has {returns} returns: expected at least {fewest} on the object")
         require_isolated(image)
+    if isinstance(goal, Goal):
+        check_scale(current, goal)
     if pivot_m is not None:
-        try:
-            pivot = np.asarray(pivot_m, float)
-        except (TypeError, ValueError):
-            pivot = np.empty(0)
-        if pivot.shape != (3,) or not np.all(np.isfinite(pivot)) or pivot[2] <= 0:
-            raise ReorientError(f"pivot {pivot_m}: expected three finite metres in camera axes, in front of the camera")
-        if pivot[2] > MILLIMETRES_ABOVE:
-            raise ReorientError(f"pivot {pivot_m}: this looks like millimetres, expected metres (times 0.001)")
+        _check_pivot(pivot_m)
+
+
+def _check_pivot(pivot_m: object) -> None:
+    try:
+        pivot = np.asarray(pivot_m, float)
+    except (TypeError, ValueError):
+        pivot = np.empty(0)
+    if pivot.shape != (3,) or not np.all(np.isfinite(pivot)) or pivot[2] <= 0:
+        raise ReorientError(f"pivot {pivot_m}: expected three finite metres in camera axes, in front of the camera")
+    if pivot[2] > MILLIMETRES_ABOVE:
+        raise ReorientError(f"pivot {pivot_m}: this looks like millimetres, expected metres (times 0.001)")
 
 
 def checked_history(history: History) -> History:

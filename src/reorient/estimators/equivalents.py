@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from reorient import so3
-from reorient.registration import Evidence, Hypotheses, Problem, measure_evidence, normal_equations, refine
+from reorient.registration import Evidence, Hypotheses, Problem, normal_equations, refine
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +102,7 @@ def _fitting(problem: Problem, answer: Hypotheses, others: Hypotheses, loss: flo
 
 def _evidence(problem: Problem, R: Float[np.ndarray, "3 3"], t_m: Float[np.ndarray, "3"]) -> Evidence:
     tolerance_m = SETTINGS.scored_tolerance * problem.diameter_m
-    return measure_evidence(problem.current, problem.goal, R, t_m, tolerance_m, SETTINGS.points)
+    return problem.evidence(R, t_m, tolerance_m, SETTINGS.points)
 
 
 def _rotated(problem: Problem, answer: Hypotheses, axis: np.ndarray, angles_rad: np.ndarray) -> Hypotheses:

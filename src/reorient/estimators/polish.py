@@ -7,7 +7,7 @@ import small_gicp
 from jaxtyping import Float
 
 from reorient import se3, so3
-from reorient.registration import Hypotheses, Problem, measure_evidence, normal_equations, refine
+from reorient.registration import EVIDENCE_POINTS, Hypotheses, Problem, normal_equations, refine
 
 FEWEST_POINTS = 11  # of a cloud at its resolution; small_gicp warns of fewer; not tuned
 
@@ -74,7 +74,8 @@ def choose(problem: Problem, answer: Hypotheses, registered: Polished) -> Polish
 def register(problem: Problem, answer: Hypotheses, voxel: float) -> Polished | None:
     """Generalised ICP from an answer; ``voxel`` relative to the object diameter. None for clouds too small for it."""
     diameter_m = problem.diameter_m
-    clouds = (view.points_m.astype(float) for view in (problem.current, problem.goal))
+    current_m = problem.current.points_m.astype(float)
+    clouds = (current_m, np.concatenate([x.points_m for x in problem.goal_views]))
     (source, _), (target, tree) = (small_gicp.preprocess_points(x, voxel * diameter_m, 10) for x in clouds)
     if min(source.size(), target.size()) < FEWEST_POINTS:
         return None
@@ -111,5 +112,5 @@ def uncertainty(problem: Problem, answer: Hypotheses) -> tuple[Float[np.ndarray,
 def _residual(problem: Problem, answer: Hypotheses) -> float:
     """Root mean square depth difference of the inliers, relative to the object diameter; 0 where there is none."""
     tolerance_m = POLISH.inlier_tolerance * problem.diameter_m
-    evidence = measure_evidence(problem.current, problem.goal, answer.R[0], answer.t_m[0], tolerance_m)
+    evidence = problem.evidence(answer.R[0], answer.t_m[0], tolerance_m, EVIDENCE_POINTS)
     return float(np.nan_to_num(evidence.residual_m)) / problem.diameter_m

@@ -7,20 +7,29 @@ the other rotations that fit where the object is symmetric or the two views leav
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from os import cpu_count
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
 
 from reorient import so3
 from reorient.errors import ReorientError, unknown_name
-from reorient.estimators.base import History, RotationEstimate, check_pair, checked_history, with_evidence
+from reorient.estimators.base import History, RotationEstimate, check_pair, checked_history
 from reorient.estimators.equivalents import smallest_equivalent
 from reorient.estimators.polish import polish, uncertainty
 from reorient.estimators.search import EFFORTS, Found, search
 from reorient.estimators.static_part import find_static_part
 from reorient.estimators.verifier import Verifier, features, load_verifier
 from reorient.imaging import DepthImage
-from reorient.registration import Problem, build_problem, non_maximum_suppression
+from reorient.imaging.goal import Goal
+from reorient.registration import (
+    EVIDENCE_POINTS,
+    INLIER_TOLERANCE,
+    Problem,
+    aligned_goal,
+    build_problem,
+    non_maximum_suppression,
+)
 from reorient.runs.pool import Pool
 
 DISTINCT_RAD = np.radians(12)  # two hypotheses closer than this are one answer
@@ -34,6 +43,8 @@ LEAST_COVISIBLE, UNSUPPORTED = 0.05, 0.1  # with a smaller co-visible inlier rat
 class RotationSearch:
     """Any rotation, with a calibrated confidence and alternatives; ``effort``: fast, normal or thorough."""
 
+    several_views: ClassVar[bool] = True
+
     def __init__(self, effort: str = "normal") -> None:
         """Raises ReorientError for an unknown effort."""
         if effort not in EFFORTS:
@@ -43,15 +54,16 @@ class RotationSearch:
     def estimate(
         self,
         current: DepthImage,
-        goal: DepthImage,
+        goal: DepthImage | Goal,
         pivot_m: Float[np.ndarray, "3"] | None = None,
         history: History = (),
     ) -> RotationEstimate:
         """As ``Estimator.estimate``; of the history the captures that show the most new are used."""
         check_pair(current, goal, pivot_m)
+        goal, warnings = aligned_goal(goal, pivot_m)
         problem = build_problem(current, goal, pivot_m, checked_history(history))
         verified = self._without_wrong_pivot(self._verified(problem))
-        return polished(self._without_static_part(verified))
+        return polished(self._without_static_part(verified).with_warning(*warnings))
 
     def _verified(self, problem: Problem, more: Found | None = None) -> "Verified":
         """The hypotheses of a search, and more of them, verified."""
@@ -137,7 +149,7 @@ class Verified:
 
 def verify(problem: Problem, found: Found, verifier: Verifier, effort: str) -> Verified:
     """The probability of each hypothesis of a search with that effort, from all observations."""
-    each = [verifier.log_odds(features(problem.only(x), found.hypotheses)) for x in problem.observations]
+    each = [verifier.log_odds(features(*pair)) for pair in problem.each_pair(found.hypotheses)]
     log_odds = np.mean(each, axis=0)
     return Verified(problem, found, log_odds, verifier.probability(log_odds, effort))
 
@@ -154,13 +166,12 @@ def polished(verified: Verified) -> RotationEstimate:
     others = distinct[so3.angle_difference(hypotheses.R[distinct], chosen.R[0]) > DISTINCT_RAD]
     answer = polish(problem, chosen)
     covariance, converged = uncertainty(problem, answer.hypothesis)
-    estimate = with_evidence(
-        verified.problem.current,
-        verified.problem.goal,
-        answer.hypothesis.R[0],
-        answer.hypothesis.t_m[0],
-        converged=converged,
-        iterations=answer.iterations,
+    motion = answer.hypothesis.R[0], answer.hypothesis.t_m[0]
+    tolerance_m = INLIER_TOLERANCE * problem.diameter_m
+    evidence = verified.problem.evidence(*motion, tolerance_m, EVIDENCE_POINTS)
+    estimate = RotationEstimate(
+        *motion,
+        replace(evidence, converged=converged, iterations=answer.iterations),
         confidence=verified.confidence,
         alternatives=tuple((hypotheses.R[i], float(share[i])) for i in others),
         covariance_rad2=covariance[:3, :3],

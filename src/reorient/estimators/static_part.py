@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
-from reorient.registration import INLIER_TOLERANCE, DepthView, Hypotheses, Problem
+from reorient.registration import INLIER_TOLERANCE, DepthView, Hypotheses, PosedView, Problem
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,18 +60,22 @@ def find_static_part(
     motion = Hypotheses(R_goal_current[None], t_goal_current_m[None])
     moved = motion.move(problem.current.points_m.T)[0] - problem.current.points_m.T
     still_answer = bool(np.median(np.linalg.norm(moved, axis=0)) < 2 * tolerance_m)
-    views = problem.current, problem.goal
-    compared = [
-        _Compared(view, other, to_other, tolerance_m)
-        for view, other, to_other in zip(views, views[::-1], (motion, motion.inverse), strict=True)
+    of_current = _Compared(problem.current, problem.goal, motion, tolerance_m)
+    of_goal = [
+        _Compared(pair.goal.view, pair.now.view, pair.motions.inverse, tolerance_m)
+        for pair in problem.at_present.pairs(motion)
     ]
+    compared = of_current, of_goal[0]
     if np.mean([each.unexplained_by_rest for each in compared]) < SETTINGS.unexplained:
         return None
     contradicted = np.mean([each.contradicted for each in compared]) >= SETTINGS.unexplained
     if sure and not (contradicted or still_answer):
         return None
-    static = [each.contradicted_regions if contradicted and not still_answer else each.regions for each in compared]
-    share = float(np.mean([each.share(mask) for each, mask in zip(compared, static, strict=True)]))
+    static = [
+        each.contradicted_regions if contradicted and not still_answer else each.regions
+        for each in (of_current, *of_goal)
+    ]
+    share = float(np.mean([each.share(mask) for each, mask in zip(compared, static[:2], strict=True)]))
     return StaticPart(share, still_answer, _without(problem, static)) if share >= SETTINGS.least else None
 
 
@@ -124,11 +128,17 @@ def _opened(mask: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
 
 
 def _without(problem: Problem, static: list[Bool[np.ndarray, "..."]]) -> Problem | None:
-    """The current observation and the goal with the static pixels unknown."""
-    views = []
-    for view, mask in zip((problem.current, problem.goal), static, strict=True):
-        kept = np.count_nonzero(view.image.valid & ~mask)
-        if kept < max(SETTINGS.left * len(view.points_m), SETTINGS.fewest):
-            return None
-        views.append(DepthView(replace(view.image, unknown=view.image.unknown | mask)))
-    return problem.of_views(*views)
+    """The current view and the goal views with the static pixels unknown; without further views that keep too little,
+    None where the current or the primary view does."""
+    masked = [_masked(x, mask) for x, mask in zip((problem.views_now[0], *problem.goal_views), static, strict=True)]
+    if masked[0] is None or masked[1] is None:
+        return None
+    return problem.of_views((masked[0],), tuple(x for x in masked[1:] if x is not None))
+
+
+def _masked(posed: PosedView, mask: Bool[np.ndarray, "h w"]) -> PosedView | None:
+    """A view with static pixels unknown; None if it keeps too few returns."""
+    image = posed.view.image
+    if np.count_nonzero(image.valid & ~mask) < max(SETTINGS.left * len(posed.view.points_m), SETTINGS.fewest):
+        return None
+    return posed.of(DepthView(replace(image, unknown=image.unknown | mask)))

@@ -48,13 +48,11 @@ FEATURES = (
 
 
 def features(problem: Problem, hypotheses: Hypotheses) -> Float[np.ndarray, "k f"]:
-    """The features, one column for each of ``FEATURES``, of all hypotheses of a problem with one observation."""
-    (observation,) = problem.observations
-    ((_, then),) = problem.seen_from(hypotheses)
+    """The features, one column for each of ``FEATURES``, of all hypotheses of a problem of two views."""
     ways = np.stack(
         [
-            _one_way(observation.view, problem.goal, then, problem.diameter_m),
-            _one_way(problem.goal, observation.view, then.inverse, problem.diameter_m),
+            _one_way(problem.current, problem.goal, hypotheses, problem.diameter_m),
+            _one_way(problem.goal, problem.current, hypotheses.inverse, problem.diameter_m),
         ]
     )
     inlier, free_space, silhouette = (
@@ -64,7 +62,7 @@ def features(problem: Problem, hypotheses: Hypotheses) -> Float[np.ndarray, "k f
     without_silhouettes = (inlier - free_space).mean(axis=0)
     score = without_silhouettes - silhouette.mean(axis=0)
     both = np.concatenate([ways.min(axis=0), ways.max(axis=0)], axis=1)
-    of_set = _of_set(then.R, score, without_silhouettes)
+    of_set = _of_set(hypotheses.R, score, without_silhouettes)
     relative = both - both[np.argmax(score)], both - both.mean(axis=0)
     return np.concatenate([both, *relative, _own(problem, hypotheses), of_set], axis=1)
 

@@ -17,14 +17,17 @@ from jaxtyping import Float
 from reorient import so3
 from reorient.errors import ReorientError, check_angles, check_range
 from reorient.estimators import load_estimator
-from reorient.estimators.base import Estimator, as_estimate
+from reorient.estimators.base import Estimator, as_estimate, for_any_goal
 from reorient.experiments.cached import cached_estimator, cached_object
 from reorient.imaging import DepthImage
+from reorient.imaging.goal import Goal, as_goal
 from reorient.plugins import USER_ERRORS, in_words
+from reorient.registration import aligned_goal
 from reorient.runs.pool import Pool
 from reorient.runs.provenance import read_record
 from reorient.runs.run import CONFIG, Progress, Row, RowStore, Tables, resumable
 from reorient.se3 import Transform
+from reorient.world.goals import ALL_ROUND, sample_goal
 from reorient.world.objects import ObjectSet, ObjectSource
 from reorient.world.pairs import Pair, sample_pair, view_overlap
 from reorient.world.rendering import Renderer, load_world
@@ -58,8 +61,9 @@ COLUMNS = [
     "confidence",
     "message",
     "overlap",
+    "goal_views",
 ]
-"""Of a row; rows of before ``overlap`` was measured lack it."""
+"""Of a row; rows of earlier versions lack the last ones."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,11 @@ class Evaluation:
     """Number of pairs for each range and noise, spread over the objects."""
     pivot: bool = False
     """Give the estimators the nominal pivot, up to 1 cm wrong along each axis."""
+    goal_views: tuple[int, ...] = (1,)
+    """Numbers of goal views, each with a row for every pair: the primary one and others 60 degrees away; six are all
+    round."""
+    slip_deg: float = 0.0
+    """Largest error of the stated rotations of further goal views."""
     seed: int = 0
     """Seed of the pairs."""
 
@@ -88,13 +97,15 @@ class Evaluation:
         check_angles(self, "ranges_deg")
         check_range(self, "noise_mm", "seed")
         check_range(self, "pairs", low=1)
+        check_range(self, "goal_views", low=1, high=ALL_ROUND)
+        check_range(self, "slip_deg", high=180)
         if not self.estimators:
             raise ReorientError("no estimators: expected at least one")
 
 
-Measure = Callable[[Evaluation, Pair, SymmetryGroup, Float[np.ndarray, "3"] | None], list[dict[str, Any]]]
-"""Measures a pair, given its object's symmetry and the pivot that may be used: for each of ``config.estimators`` the
-cells of its row, by those of ``COLUMNS`` that do not describe the pair itself."""
+Measure = Callable[[Evaluation, Pair, Goal, SymmetryGroup, Float[np.ndarray, "3"] | None], list[dict[str, Any]]]
+"""Measures a pair, given its goal, its object's symmetry and the pivot that may be used: for each of
+``config.estimators`` the cells of its row, by those of ``COLUMNS`` that do not describe the pair itself."""
 
 
 def evaluate(
@@ -133,7 +144,7 @@ def read_config(path: Path) -> Evaluation:
         data = read_record(file)["config"]
         source = ObjectSource.from_json(data.pop("objects"))
         data["ranges_deg"] = tuple(tuple(x) for x in data["ranges_deg"])
-        for name in ("estimators", "noise_mm"):
+        for name in {"estimators", "noise_mm", "goal_views"} & set(data):
             data[name] = tuple(data[name])
         return Evaluation(source, **data)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
@@ -167,9 +178,12 @@ def _measure_pair(task: tuple[Evaluation, Measure, str, int]) -> Tables:
                 "angle_deg": f"{np.degrees(so3.angle(pair.R_goal_current)):.4f}",
                 "overlap": f"{view_overlap(renderer, pair):.4f}",
             }
-            measured = measure(config, pair, group, pair.pivot_m if config.pivot else None)
-            for estimator, figures in zip(config.estimators, measured, strict=True):
-                rows.append(dict.fromkeys(COLUMNS, "") | figures | cell | {"estimator": estimator})
+            for views in config.goal_views:
+                goal = _goal(config, renderer, pair, index, views, noise_mm)
+                measured = measure(config, pair, goal, group, pair.pivot_m if config.pivot else None)
+                for estimator, figures in zip(config.estimators, measured, strict=True):
+                    own = {"estimator": estimator, "goal_views": views}
+                    rows.append(dict.fromkeys(COLUMNS, "") | figures | cell | own)
     return {"rows": [{column: str(row[column]) for column in COLUMNS} for row in rows]}
 
 
@@ -180,30 +194,43 @@ def _pair(config: Evaluation, renderer: Renderer, index: int, low: float, high: 
     )
 
 
+def _goal(config: Evaluation, renderer: Renderer, pair: Pair, index: int, views: int, noise_mm: float) -> Goal:
+    rng = np.random.default_rng([config.seed, index, views])
+    slip_rad = float(np.radians(config.slip_deg))
+    return sample_goal(rng, renderer, load_world(config.world), randomised(noise_mm / 1000), pair, views, slip_rad)
+
+
 def _estimates(
     own: dict[str, Estimator],
     config: Evaluation,
     pair: Pair,
+    goal: Goal,
     group: SymmetryGroup,
     pivot_m: Float[np.ndarray, "3"] | None,
 ) -> list[dict[str, Any]]:
     """Cells of each estimator."""
     return [
-        estimate_cells(own[name] if name in own else cached_estimator(name), pair, group, pivot_m)
+        estimate_cells(own[name] if name in own else cached_estimator(name), pair, group, pivot_m, goal)
         for name in config.estimators
     ]
 
 
 def estimate_cells(
-    estimator: Estimator, pair: Pair, group: SymmetryGroup, pivot_m: Float[np.ndarray, "3"] | None
+    estimator: Estimator,
+    pair: Pair,
+    group: SymmetryGroup,
+    pivot_m: Float[np.ndarray, "3"] | None,
+    goal: Goal | None = None,
 ) -> dict[str, Any]:
-    """Cells of one row."""
-    T, cells = measured(estimator, pair.current, pair.goal, pivot_m)
+    """Cells of one row. ``goal``: None for that of one view. Its views are aligned once: not in ``seconds``."""
+    goal = Goal(pair.goal) if goal is None else goal
+    aligned_goal(goal, pivot_m)
+    T, cells = measured(estimator, pair.current, goal, pivot_m)
     return cells | answer_cells(T[:3, :3], pair, group)
 
 
 def measured(
-    estimator: Estimator, current: DepthImage, goal: DepthImage, pivot_m: Float[np.ndarray, "3"] | None = None
+    estimator: Estimator, current: DepthImage, goal: DepthImage | Goal, pivot_m: Float[np.ndarray, "3"] | None = None
 ) -> tuple[Transform, dict[str, str]]:
     """T_goal_current of an estimator, and the cells of a row that need no truth.
 
@@ -211,7 +238,8 @@ def measured(
     """
     begin = time.process_time()
     try:
-        estimate = as_estimate(estimator.estimate(current, goal, pivot_m), current, goal)
+        answer = for_any_goal(estimator).estimate(current, goal, pivot_m)
+        estimate = as_estimate(answer, current, as_goal(goal).image)
     except USER_ERRORS as error:
         T, message, figures = np.eye(4), in_words(error), {}
     else:

@@ -64,10 +64,12 @@ def check_scale(current: DepthImage, goal: Goal) -> None:
 
     Seen whole, it is at most as long as the goal, and at least as long as the goal is wide.
     """
+    if not goal.views:
+        return
     sizes_m = np.array([size_m(image.points()) for image in (goal.image, *(view.image for view in goal.views))])
     now_m = float(size_m(current.points())[0])
     longest_m, width_m = float(sizes_m[:, 0].max()), float(sizes_m[:, 1].min())
-    if not goal.views or width_m / _WRONG_SCALE <= now_m <= longest_m * _WRONG_SCALE:
+    if width_m / _WRONG_SCALE <= now_m <= longest_m * _WRONG_SCALE:
         return
     ratio = float(np.median(sizes_m[:, 0])) / now_m
     factor = min(_UNITS, key=lambda x: abs(np.log(x) - abs(np.log(ratio))))

@@ -20,7 +20,8 @@ def spread_rotations(
     """At most ``count`` rotations (camera axes, left) whose views, with the present one, spread over all directions.
 
     Of the candidates that are ``reachable`` those are chosen with the smallest mean squared angle from any viewing
-    direction to the nearest of theirs; fewer than five are within 90 degrees of the present one. They are in an order in which the rotations between them are small.
+    direction to the nearest of theirs; fewer than five are within 90 degrees of the present one. The rotations between
+    them are small in their order.
     """
     largest_rad = np.pi if count >= _ALL_ROUND else np.pi / 2
     candidates = [so3.exp(x) for x in _tilts() if np.linalg.norm(x) <= largest_rad + 1e-9]

@@ -7,7 +7,6 @@ axes takes every taught pose along: T_base_camera inv(T_goal_current) inv(T_base
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TextIO
 
 import numpy as np
 from jaxtyping import Float
@@ -90,16 +89,18 @@ def read_tool_poses(path: str | Path) -> Float[np.ndarray, "n 4 4"]:
         raise ReorientError(f"tool poses {str(path)!r}: {reason}; {_EXPECTED}") from error
 
 
-def write_tool_poses(path: str | Path | TextIO, T_base_tool: Float[np.ndarray, "n 4 4"]) -> None:
-    """Write poses as CSV with the header x,y,z,qw,qx,qy,qz; metres. ``path``: a file, or an open stream."""
+def write_tool_poses(path: str | Path, T_base_tool: Float[np.ndarray, "n 4 4"]) -> None:
+    """Write poses as CSV with the header x,y,z,qw,qx,qy,qz; metres."""
+    with replacing(path) as temporary:
+        temporary.write_text(tool_poses_text(T_base_tool), encoding="utf-8")
+
+
+def tool_poses_text(T_base_tool: Float[np.ndarray, "n 4 4"]) -> str:
+    """The text of such a file."""
     quat_wxyz = so3.quat_from_matrix(T_base_tool[:, :3, :3])
     rows = np.concatenate([T_base_tool[:, :3, 3], quat_wxyz], axis=1)
-    text = "".join(f"{line}\n" for line in [",".join(COLUMNS), *(",".join(f"{x:.9f}" for x in row) for row in rows)])
-    if not isinstance(path, str | Path):
-        path.write(text)
-        return
-    with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    lines = [",".join(COLUMNS), *(",".join(f"{x:.9f}" for x in row) for row in rows)]
+    return "".join(f"{line}\n" for line in lines)
 
 
 def _text(path: Path) -> str:

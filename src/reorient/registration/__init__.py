@@ -4,6 +4,7 @@ It aligns depth images and knows no estimator. ``build_problem`` makes the probl
 hypotheses of rotations, ``refine`` improves them, ``Problem.score`` and ``measure_evidence`` compare them.
 """
 
+from reorient.registration.aligning import aligned_goal
 from reorient.registration.build import build_problem
 from reorient.registration.depth_view import DepthView, Warped, evenly_spaced
 from reorient.registration.evidence import (
@@ -18,7 +19,7 @@ from reorient.registration.gauss_newton import normal_equations, refine
 from reorient.registration.hypotheses import Hypotheses
 from reorient.registration.normals import fit_planes
 from reorient.registration.pivot import PivotPrior, pivot_prior
-from reorient.registration.problem import Observation, Problem
+from reorient.registration.problem import PosedView, Problem, ViewPair
 from reorient.so3 import non_maximum_suppression
 
 __all__ = [
@@ -27,10 +28,12 @@ __all__ = [
     "DepthView",
     "Evidence",
     "Hypotheses",
-    "Observation",
     "PivotPrior",
+    "PosedView",
     "Problem",
+    "ViewPair",
     "Warped",
+    "aligned_goal",
     "build_problem",
     "evenly_spaced",
     "fit_planes",

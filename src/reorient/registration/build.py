@@ -7,10 +7,11 @@ from jaxtyping import Float
 
 from reorient import so3
 from reorient.imaging import DepthImage
+from reorient.imaging.goal import Goal
+from reorient.registration.aligning import posed_views
 from reorient.registration.depth_view import DepthView
 from reorient.registration.gauss_newton import refine
-from reorient.registration.pivot import pivot_prior
-from reorient.registration.problem import Observation, Problem
+from reorient.registration.problem import PosedView, Problem
 
 OBSERVATIONS = 2  # earlier captures that are used: those that show the most new
 LEAST_NEW_RAD = np.radians(10)  # a capture rotated by less shows nothing new
@@ -20,23 +21,22 @@ _POINTS = 400
 
 def build_problem(
     current: DepthImage,
-    goal: DepthImage,
+    goal: DepthImage | Goal,
     pivot_m: Float[np.ndarray, "3"] | None,
     history: Sequence[tuple[DepthImage, Float[np.ndarray, "3 3"]]] = (),
 ) -> Problem:
-    """The problem of a pair of images, with a rotation centre (camera axes) or None, and with earlier captures.
+    """The problem of an image and a goal, with a rotation centre (camera axes) or None, and with earlier captures.
 
     ``history``: earlier captures, each with R_now_then. They rotate to now about the pivot (or its guess), and a
-    registration without rotation puts them in place.
+    registration without rotation puts them in place. Goal views are taken as they are; see ``aligned_goal``.
     """
-    now, target = DepthView(current), DepthView(goal)
-    observations = [Observation(now, np.eye(3), np.zeros(3))]
+    now = PosedView.first(DepthView(current))
+    views_now = [now]
     for image, R in _most_new(history):
-        then = DepthView(image)
-        to_now = Problem((Observation(then, np.eye(3), np.zeros(3)),), now, pivot_prior(then, now, pivot_m))
+        to_now = Problem.of((PosedView.first(DepthView(image)),), (now,), pivot_m)
         placed = refine(to_now, to_now.start(R[None]), _TOLERANCES, _POINTS, rotate=False)
-        observations.append(Observation(then, R, placed.t_m[0]))
-    return Problem(tuple(observations), target, pivot_prior(now, target, pivot_m))
+        views_now.append(PosedView(to_now.current, R, placed.t_m[0]))
+    return Problem.of(tuple(views_now), posed_views(goal, pivot_m), pivot_m)
 
 
 def _most_new(

@@ -1,6 +1,6 @@
 """Scores of hypotheses, and the evidence for one: each image's points warped into the other's view, depths compared."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import ceil
 
@@ -63,7 +63,11 @@ def measure_evidence(
     points: int = EVIDENCE_POINTS,
 ) -> Evidence:
     """The evidence for one motion, from at most so many points of each image."""
-    warped = warp_both(current, goal, R_goal_current, t_goal_current_m, points)
+    return evidence_of(warp_both(current, goal, R_goal_current, t_goal_current_m, points), tolerance_m)
+
+
+def evidence_of(warped: Sequence[Warped], tolerance_m: float) -> Evidence:
+    """The evidence of warped points, each of which counts alike."""
     difference_m = np.concatenate([each.difference_m for each in warped])
     inlier = np.concatenate([each.inlier(tolerance_m) for each in warped])
 

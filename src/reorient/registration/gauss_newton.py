@@ -16,7 +16,7 @@ from reorient import so3
 from reorient.registration.depth_view import DepthView
 from reorient.registration.evidence import batches
 from reorient.registration.hypotheses import Hypotheses
-from reorient.registration.problem import Observation, Problem
+from reorient.registration.problem import Problem, ViewPair
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,15 +53,22 @@ def refine(
         H, g = normal_equations(problem, hypotheses, tolerance, points)
         if not rotate:
             H[:, :3], H[:, :, :3], g[:, :3] = 0, 0, 0
-        diagonal = np.einsum("kii->ki", H)
-        damping = WEIGHTS.damping * diagonal + 1e-3 * diagonal.mean(axis=1, keepdims=True) + 1e-12
-        step = -np.linalg.solve(H + damping[:, :, None] * np.eye(6), g[:, :, None])[:, :, 0]
-        rotvec, shift = (
-            part * np.minimum(1, WEIGHTS.longest_step / np.maximum(np.linalg.norm(part, axis=1, keepdims=True), 1e-12))
-            for part in (step[:, :3], step[:, 3:])
-        )
-        hypotheses = hypotheses.perturbed(problem.prior.goal_m, so3.exp(rotvec), shift * (problem.diameter_m / 2))
+        hypotheses = stepped(problem, hypotheses, H, g)
     return hypotheses
+
+
+def stepped(
+    problem: Problem, hypotheses: Hypotheses, H: Float[np.ndarray, "k 6 6"], g: Float[np.ndarray, "k 6"]
+) -> Hypotheses:
+    """The hypotheses after the damped and limited step that normal equations ask for."""
+    diagonal = np.einsum("kii->ki", H)
+    damping = WEIGHTS.damping * diagonal + 1e-3 * diagonal.mean(axis=1, keepdims=True) + 1e-12
+    step = -np.linalg.solve(H + damping[:, :, None] * np.eye(6), g[:, :, None])[:, :, 0]
+    rotvec, shift = (
+        part * np.minimum(1, WEIGHTS.longest_step / np.maximum(np.linalg.norm(part, axis=1, keepdims=True), 1e-12))
+        for part in (step[:, :3], step[:, 3:])
+    )
+    return hypotheses.perturbed(problem.prior.goal_m, so3.exp(rotvec), shift * (problem.diameter_m / 2))
 
 
 def normal_equations(
@@ -74,10 +81,15 @@ def normal_equations(
     prior, tolerance_m = problem.prior, tolerance * problem.diameter_m
     total = np.zeros((len(hypotheses), 7, 7))
     shared = problem.share(points)
-    for observation, then in problem.seen_from(hypotheses):
+    for pair in problem.pairs(hypotheses):
+        goal = pair.goal
+        center_m = (prior.goal_m - goal.t_first_view_m) @ goal.R_first_view
+        to_view = np.eye(7)  # a perturbation in the axes of the primary view, in those of another one
+        to_view[:3, :3] = to_view[3:6, 3:6] = goal.R_first_view.T
         for batch in batches(len(hypotheses), 2 * shared):
-            total[batch] += _moments(problem, observation, then[batch], tolerance_m, shared)
-    total *= WEIGHTS.images / len(problem.observations) / tolerance_m**2
+            moments = _moments(pair, pair.motions[batch], center_m, prior.diameter_m, tolerance_m, shared)
+            total[batch] += to_view.T @ moments @ to_view
+    total *= WEIGHTS.images / len(problem.views_now) / tolerance_m**2
     H, g = total[:, :6, :6].copy(), total[:, :6, 6].copy()
     if prior.known:
         information, moved_m = prior.information(hypotheses.R, hypotheses.t_m)
@@ -88,28 +100,33 @@ def normal_equations(
 
 
 def _moments(
-    problem: Problem, observation: Observation, hypotheses: Hypotheses, tolerance_m: float, points: int
+    pair: ViewPair,
+    hypotheses: Hypotheses,
+    center_m: Float[np.ndarray, "3"],
+    diameter_m: float,
+    tolerance_m: float,
+    points: int,
 ) -> Float[np.ndarray, "k 7 7"]:
     """Weighted products of the Jacobian's columns and the residual, averaged over the points of each image and summed
-    over both images.
+    over both images of a pair, for some motions between them.
 
     Rows of ``J``: 0-2 the rotation, 3-5 the shift, 6 the residual. So the product holds H and, in its last column, g.
     """
-    motion, prior = hypotheses.single(), problem.prior
-    source, target = observation.view.sample(points), problem.goal.sample(points)
+    motion, now, goal = hypotheses.single(), pair.now.view, pair.goal.view
+    source, target = now.sample(points), goal.sample(points)
     n, m = source.shape[1], target.shape[1]
     forward, backward = motion.move(source), motion.inverse.move(target)
     J = np.empty((len(motion), 7, n + m), np.float32)
     weight = np.empty((len(motion), n + m), np.float32)
-    J[:, 6, :n], weight[:, :n], J[:, 3:6, :n] = _residuals(problem.goal, forward, tolerance_m)
-    J[:, 6, n:], weight[:, n:], normal = _residuals(observation.view, backward, tolerance_m)
+    J[:, 6, :n], weight[:, :n], J[:, 3:6, :n] = _residuals(goal, forward, tolerance_m)
+    J[:, 6, n:], weight[:, n:], normal = _residuals(now, backward, tolerance_m)
     J[:, 3:6, n:] = -(motion.R @ normal)  # moving the goal's point back is moving the plane forward
     lever = np.concatenate([forward, np.broadcast_to(target, (len(motion), 3, m))], axis=2)
-    lever -= prior.goal_m.astype(np.float32)[:, None]
+    lever -= center_m.astype(np.float32)[:, None]
     x, y, z = np.moveaxis(lever, 1, 0)
     nx, ny, nz = J[:, 3], J[:, 4], J[:, 5]
     J[:, 0], J[:, 1], J[:, 2] = y * nz - z * ny, z * nx - x * nz, x * ny - y * nx
-    J[:, 3:6] *= np.float32(prior.diameter_m / 2)
+    J[:, 3:6] *= np.float32(diameter_m / 2)
     weight[:, :n] /= n
     weight[:, n:] /= m
     return (J * weight[:, None]) @ np.swapaxes(J, 1, 2)

@@ -33,6 +33,10 @@ class Hypotheses:
         """The motions from an earlier moment to the goal, through now."""
         return Hypotheses(self.R @ R_now_then, self.R @ t_now_then_m + self.t_m)
 
+    def onto(self, R_goal_view: Float[np.ndarray, "3 3"], t_goal_view_m: Float[np.ndarray, "3"]) -> "Hypotheses":
+        """The motions to the pose of another goal view, which ``R_goal_view`` and its translation take to the goal."""
+        return Hypotheses(R_goal_view.T @ self.R, (self.t_m - t_goal_view_m) @ R_goal_view)
+
     def perturbed(
         self, about_m: Float[np.ndarray, "3"], R: Float[np.ndarray, "k 3 3"], shift_m: Float[np.ndarray, "k 3"]
     ) -> "Hypotheses":
@@ -53,7 +57,7 @@ def rotate(
     R: Float[np.ndarray, "k 3 3"], points_m: Float[np.ndarray, "3 n"], t_m: Float[np.ndarray, "k 3"] | None = None
 ) -> Float[np.ndarray, "k 3 n"]:
     """Points (as columns) under k rotations, and shifted where translations are given."""
-    x: np.ndarray = (R.reshape(-1, 3) @ points_m).reshape(len(R), 3, -1)
+    x: np.ndarray = (R.reshape(-1, 3) @ points_m).reshape(len(R), 3, points_m.shape[1])
     if t_m is not None:
         x += t_m[:, :, None]
     return x

@@ -56,9 +56,14 @@ class PivotPrior:
         return np.asarray(np.einsum("ki,kij,kj->k", moved_m, information, moved_m))
 
 
-def pivot_prior(current: DepthView, goal: DepthView, pivot_m: Float[np.ndarray, "3"] | None) -> PivotPrior:
-    """The prior of a pair, with a known pivot (camera axes) where that is of use, else with guesses."""
-    diameter_m = max(current.diameter_m, goal.diameter_m)
+def pivot_prior(
+    current: DepthView, goal: DepthView, pivot_m: Float[np.ndarray, "3"] | None, diameter_m: float | None = None
+) -> PivotPrior:
+    """The prior of a pair, with a known pivot (camera axes) where that is of use, else with guesses.
+
+    ``diameter_m``: of the object; None: as far as these two show it.
+    """
+    diameter_m = max(current.diameter_m, goal.diameter_m) if diameter_m is None else diameter_m
     if pivot_m is not None and diameter_m > USELESS_BELOW_M:
         pivot = np.asarray(pivot_m, float)
         return PivotPrior(diameter_m, pivot, pivot, True)

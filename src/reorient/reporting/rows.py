@@ -18,7 +18,7 @@ NEEDED = (
     *("object", "pair", "world", "noise_mm", "low_deg", "high_deg", "estimator", "angle_deg", "error_deg"),
     *("error_sym_deg", "qw", "qx", "qy", "qz", "seconds", "message"),
 )
-OPTIONAL = ("overlap", "confidence")  # empty where rows of an earlier version lack them
+OPTIONAL = ("overlap", "confidence", "goal_views")  # empty where rows of an earlier version lack them
 QUARTERS = ((0, 25), (25, 50), (50, 75), (75, 100))  # of the overlap, in percent
 
 
@@ -50,7 +50,13 @@ class Summary:
 def read_rows(folder: str | Path) -> list[Row]:
     """The rows of ``rows.csv.gz``. Raises ReorientError where it is missing, broken, empty or lacks columns."""
     rows = read_table(Path(folder) / "rows.csv.gz", NEEDED)
-    return [dict.fromkeys(OPTIONAL, "") | row for row in rows]
+    return [_named(dict.fromkeys(OPTIONAL, "") | row) for row in rows]
+
+
+def _named(row: Row) -> Row:
+    """The row, with the number of goal views, where there are several, in the name of its estimator."""
+    several = row["goal_views"] not in ("", "1")
+    return row | {"estimator": f"{row['estimator']}, {row['goal_views']} goal views"} if several else row
 
 
 def read_table(file: Path, columns: Sequence[str]) -> list[Row]:
