@@ -11,11 +11,13 @@ import numpy as np
 from reorient import so3
 from reorient.cli.arguments import Metavar, Positional
 from reorient.errors import ReorientError, check_range
+from reorient.formatting import format_probability
 
 if TYPE_CHECKING:
-    from reorient.imaging import Goal
+    from reorient.imaging import DepthImage, Goal
 
 UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
+SURE = 0.9  # confidence that a capture shows the mesh
 _TILE_PX, _COLUMNS = 200, 3
 
 
@@ -102,14 +104,21 @@ class FromMesh:
         from reorient.imaging.summary import check_scale
         from reorient.world.meshes import load_mesh
 
+        R, unit_m = self._rotation(), UNITS_M[self.unit]
+        bounds_m = load_mesh(self.mesh).bounds * unit_m
         real = None if self.capture is None else read_depth(self.capture)
         camera = read_camera(self.camera) if real is None else real.camera  # type: ignore[arg-type]
-        center_m = np.array(self.center) if self.center is not None else _place_m(real)
-        R, unit_m = self._rotation(), UNITS_M[self.unit]
-        middle_m = load_mesh(self.mesh).bounds.mean(axis=0) * unit_m
-        goal = Goal.from_mesh(self.mesh, se3.transform(R, center_m - R @ middle_m), camera, unit_m, self.views)
+
+        def rendered(center_m: np.ndarray) -> Goal:
+            T = se3.transform(R, center_m - R @ bounds_m.mean(axis=0))
+            return Goal.from_mesh(self.mesh, T, camera, unit_m, self.views)
+
+        center_m = np.array(self.center) if self.center is not None else _place_m(real, np.ptp(bounds_m, axis=0))
+        goal = rendered(center_m)
         if real is not None:
             check_scale(real, goal)
+            shown_m = _shown_m(real, goal, center_m)
+            goal = goal if shown_m is None or self.center is not None else rendered(shown_m)
         provenance = {"made": "mesh", "mesh": self.mesh.name, "unit_m": unit_m, "R_camera_mesh": R.tolist()}
         write_goal(self.out, goal, provenance)
         write_sheet(self.out.with_suffix(".png"), goal)
@@ -150,12 +159,31 @@ def write_sheet(path: Path, goal: "Goal") -> None:
         montage(tiles, min(_COLUMNS, len(tiles)), labels).save(temporary)
 
 
-def _place_m(image: Any) -> np.ndarray:
-    """Where the centre of the object is, roughly: half its extent across the view behind its nearest returns."""
+def _place_m(image: Any, extents_m: np.ndarray) -> np.ndarray:
+    """Where the centre of an object of these extents is, roughly: half of their mean behind its nearest returns."""
     low, high = np.percentile(image.points(), (1, 99), axis=0)
     middle_m = (low + high) / 2
-    middle_m[2] = low[2] + float(np.mean(high[:2] - low[:2])) / 2
+    middle_m[2] = low[2] + float(np.mean(extents_m)) / 2
     return np.asarray(middle_m)
+
+
+def _shown_m(real: "DepthImage", goal: "Goal", center_m: np.ndarray) -> np.ndarray | None:
+    """Where a capture shows the centre of the goal's object; None, with a warning, where that is not sure."""
+    from reorient import se3
+    from reorient.estimators import load_estimator
+
+    estimate = load_estimator().estimate(real, goal)
+    if (estimate.confidence or 0.0) < SURE:
+        print(
+            f"reorient: warning: the capture does not surely show this mesh (confidence "
+            f"{format_probability(estimate.confidence)}): is it the same object, in this unit, not mirrored?",
+            file=sys.stderr,
+        )
+        return None
+    print(
+        f"the capture shows this mesh (confidence {format_probability(estimate.confidence)}): the goal is at its place"
+    )
+    return se3.apply(se3.inverse(estimate.T_goal_current), center_m)
 
 
 def _origin(provenance: Mapping[str, Any]) -> str:

@@ -175,7 +175,9 @@ class Orient:
             station = RecordingStation(station, self.record, goal, about)
             if weights:
                 shutil.copy(weights, self.record)
-        return _close_loop(station, goal, estimator, strategy, limits, self.out, f"Station {self.choice.station}", self.translation)
+        return _close_loop(
+            station, goal, estimator, strategy, limits, self.out, f"Station {self.choice.station}", self.translation
+        )
 
 
 @dataclass(frozen=True)
@@ -289,7 +291,9 @@ def _close_loop(
     from reorient.reporting import write_loop
     from reorient.stations.replay import RecordingStation
 
-    result = orient(station, goal, estimator, strategy, limits=limits, subscribers=[_Printer()], translation=translation)
+    result = orient(
+        station, goal, estimator, strategy, limits=limits, subscribers=[_Printer()], translation=translation
+    )
     if isinstance(station, RecordingStation):
         station.finish(result)
     code = print_outcome(result)
