@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from reorient.cli.arguments import Metavar, Positional
 from reorient.cli.goals import print_statement, write_sheet
 from reorient.cli.isolating import IsolationOptions
-from reorient.cli.robot import LimitChoice
+from reorient.cli.limits import LimitChoice
 from reorient.cli.stations import StationChoice
 from reorient.errors import ReorientError, check_range
 from reorient.imaging import DepthImage

@@ -2,7 +2,7 @@
 
 import shutil
 import sys
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,7 @@ from reorient import __version__
 from reorient.cli.arguments import Positional
 from reorient.cli.estimating import confidence_in_words
 from reorient.cli.isolating import GoalFrame
+from reorient.cli.limits import LimitChoice
 from reorient.cli.stations import StationChoice
 from reorient.errors import ReorientError, check_range
 from reorient.runs.files import make_folder
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from reorient.stations.replay import ReplayedStation
 
 EXIT_CODES = {"converged": 0, "dry_run": 0, "interrupted": 130}  # of the other statuses: 1
-OWN_STEP_DEG, OWN_ROTATION_DEG = 45.0, 720.0  # limits for a station of the user's own
 _OWNERS = {"eta": ("algorithm1",), "delta_deg": ("algorithm1", "direct")}  # options that not every strategy has
 
 
@@ -64,55 +64,6 @@ class StrategyChoice:
         if set(settings) == {"max_images"}:
             raise ReorientError(f"--max-images {self.max_images}: expected --strategy with it")
         return load_strategy("algorithm1", **settings)
-
-
-@dataclass(frozen=True)
-class LimitChoice:
-    """Limits of the moves."""
-
-    max_step_deg: float | None = None
-    """Largest angle of one move, above which it is made in parts, by default 45 for a station of your own and else
-    180."""
-    max_rotation_deg: float | None = None
-    """Largest sum of the angles of all moves, by default 720 for a station of your own and else unlimited."""
-    dry_run: bool = False
-    """Capture, estimate and print the first move, but move nothing."""
-    confirm_first_move: bool = False
-    """Ask at the terminal before the first move, as it is done for a station of your own anyway."""
-    yes: bool = False
-    """Make the first move without asking."""
-    timeout_s: float | None = None
-    """Longest time of a capture or a move, after which the loop ends and the robot is stopped, by default unlimited."""
-
-    def __post_init__(self) -> None:
-        """Raises ReorientError for values out of range."""
-        check_range(self, "max_step_deg", "max_rotation_deg", "timeout_s", above=True)
-        if self.yes and self.confirm_first_move:
-            raise ReorientError("--yes and --confirm-first-move contradict each other: expected one of them")
-
-    def of(self, own: bool) -> "LimitChoice":
-        """The choice with its defaults for the user's own station, or for any other."""
-        if not own:
-            return self
-        return replace(
-            self,
-            max_step_deg=OWN_STEP_DEG if self.max_step_deg is None else self.max_step_deg,
-            max_rotation_deg=OWN_ROTATION_DEG if self.max_rotation_deg is None else self.max_rotation_deg,
-            confirm_first_move=not self.yes,
-        )
-
-    def limits(self, wait_s: float = 0.5) -> "Limits":
-        """The limits of the loop."""
-        from reorient.controller import Limits
-
-        return Limits(
-            max_step_rad=np.radians(180.0 if self.max_step_deg is None else self.max_step_deg),
-            max_rotation_rad=np.inf if self.max_rotation_deg is None else np.radians(self.max_rotation_deg),
-            confirm=_confirmed if self.confirm_first_move else None,
-            dry_run=self.dry_run,
-            wait_s=wait_s,
-            timeout_s=np.inf if self.timeout_s is None else self.timeout_s,
-        )
 
 
 @dataclass(frozen=True)
@@ -246,23 +197,6 @@ def print_outcome(result: "OrientResult") -> int:
     else:
         print(result.reason)
     return code
-
-
-def _confirmed(step: np.ndarray) -> bool:
-    """Ask at the terminal, below the reason for the move; no answer is a no. ``step``: a rotation or a translation."""
-    from reorient import so3
-
-    rotates = step.shape == (3, 3)
-    move = np.degrees(so3.log(step)) if rotates else 1000 * step[:3, 3]
-    kind, unit = ("rotation vector", "deg") if rotates else ("translation", "mm")
-    vector = " ".join(f"{x:.1f}" for x in move)
-    print(f"first move: {np.linalg.norm(move):.1f} {unit} ({kind} [{vector}] {unit}, camera axes)", file=sys.stderr)
-    print("make this move? [y/N]", file=sys.stderr, flush=True)
-    try:
-        return input().strip().lower() in ("y", "yes")
-    except EOFError:
-        print("no answer: --yes moves without asking", file=sys.stderr)
-        return False
 
 
 class _Printer:
