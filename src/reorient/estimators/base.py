@@ -99,8 +99,8 @@ class OneView:
         goal: DepthImage | Goal,
         pivot_m: Float[np.ndarray, "3"] | None = None,
         history: History = (),
-    ) -> RotationEstimate:
-        """As ``Estimator.estimate``."""
+    ) -> Any:
+        """As ``Estimator.estimate``; whatever a user's own returns."""
         return self.estimator.estimate(current, goal.image if isinstance(goal, Goal) else goal, pivot_m, history)
 
     def __getattr__(self, name: str) -> Any:
