@@ -128,7 +128,7 @@ def options(text: str) -> set[str]:
 @cache
 def verbs() -> list[str]:
     """All verbs, those of two words included."""
-    return re.findall(r"^  ([a-z-]+(?: [a-z]+)?)  +[A-Z]", printed_help(), re.MULTILINE)
+    return re.findall(r"^  ([a-z-]+(?: [a-z-]+)?)  +[A-Z]", printed_help(), re.MULTILINE)
 
 
 @cache

@@ -18,6 +18,8 @@ ORDER = [
     *("cli", "__main__"),
     "",  # the package itself
 ]
+# Imports inside a function that break the order: a goal from a mesh is rendered, where somebody asks for one.
+EXCEPTIONS = {("imaging/goal", "world.mesh_goal")}
 # What a package must not reach, directly or through any other module: by prefixes, with exceptions.
 UNREACHABLE = {
     "controller": (("estimators.", "world"), {"estimators.base"}),
@@ -53,7 +55,9 @@ def imports(name: str, sources: dict[str, str], everywhere: bool = True) -> Iter
             if path[0] == "reorient":
                 inside = "/".join(path[1:])
                 is_module = inside in sources or f"{inside}/__init__" in sources or isinstance(node, ast.Import)
-                yield ".".join(path[1:] if is_module else path[1:-1])
+                module = ".".join(path[1:] if is_module else path[1:-1])
+                if (name, module) not in EXCEPTIONS or node in tree.body:
+                    yield module
 
 
 def file_of(module: str, sources: dict[str, str]) -> str | None:
@@ -121,6 +125,9 @@ SOUND = {
     "errors": "import numpy",
     "so3": "from reorient.errors import ReorientError",
     "imaging/__init__": "from reorient import so3",
+    "imaging/goal": "def late():\n    from reorient.world.mesh_goal import mesh_goal",
+    "world/mesh_goal": "from reorient.imaging.goal import Goal",
+    "world/meshes": "",
     "world/rendering": "from reorient import imaging, __version__",
     "registration/scores": "from reorient.imaging import DepthImage",
     "estimators/__init__": "def load():\n    from reorient.estimators.icp import ICP",
@@ -144,6 +151,12 @@ def test_a_sound_package_has_no_violations():
         ("so3", "from reorient import imaging", "so3 imports imaging, which is listed after it"),
         ("so3", "from . import imaging", "so3 imports imaging, which is listed after it"),
         ("so3", "def late():\n    from .imaging import Camera", "so3 imports imaging, which is listed after it"),
+        ("imaging/goal", "from reorient.world.mesh_goal import x", "imaging/goal imports world.mesh_goal, which is"),
+        (
+            "imaging/goal",
+            "def late():\n    from reorient.world import meshes",
+            "imaging/goal imports world.meshes, which",
+        ),
         ("imaging/__init__", "from reorient import orient", "imaging/__init__ imports reorient, which is listed after"),
         ("imaging/__init__", "import reorient", "imaging/__init__ imports reorient, which is listed after it"),
         ("estimators/icp", "from ..world.rendering import X", "icp reaches world.rendering through estimators/icp"),

@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from reorient.estimators.base import Estimator, RotationEstimate
     from reorient.imaging import Camera, DepthImage, Goal, GoalView, Isolation, isolate
     from reorient.imaging.files import read_camera, read_depth
+    from reorient.imaging.goal_files import read_goal, write_goal
     from reorient.perception.robot_calibration import RobotCalibration
+    from reorient.perception.transfer import Transferred, transfer
     from reorient.stations.calibrating import calibrate
     from reorient.stations.guarded import RobotLimits
     from reorient.stations.robot import RobotStation
@@ -41,6 +43,7 @@ __all__ = [
     "Station",
     "StationError",
     "Step",
+    "Transferred",
     "calibrate",
     "isolate",
     "load_estimator",
@@ -48,6 +51,9 @@ __all__ = [
     "orient",
     "read_camera",
     "read_depth",
+    "read_goal",
+    "transfer",
+    "write_goal",
 ]
 _MODULES = {
     "controller": ("Algorithm1", "Fusing", "Limits", "OrientResult", "Step", "load_strategy", "orient"),
@@ -57,7 +63,9 @@ _MODULES = {
     "estimators.base": ("Estimator", "RotationEstimate"),
     "imaging": ("Camera", "DepthImage", "Goal", "GoalView", "Isolation", "isolate"),
     "imaging.files": ("read_camera", "read_depth"),
+    "imaging.goal_files": ("read_goal", "write_goal"),
     "perception.robot_calibration": ("RobotCalibration",),
+    "perception.transfer": ("Transferred", "transfer"),
     "stations.calibrating": ("calibrate",),
     "stations.guarded": ("RobotLimits",),
     "stations.robot": ("RobotStation",),

@@ -50,6 +50,18 @@ def test_the_pivot_stays_and_is_where_the_object_rotates(cell):
     assert np.linalg.norm(cell.pivot_m - true_m) < 0.01
 
 
+def test_it_moves_the_object_in_camera_axes_and_rotates_it_where_it_is_then(perfect):
+    shift_m = np.array([0.01, -0.02, 0.015])
+    before_m = perfect.pivot_m
+    executed = perfect.move(se3.transform(np.eye(3), shift_m))
+    assert np.linalg.norm(perfect.pivot_m - before_m - shift_m) < 0.003  # the servos sag
+    assert np.linalg.norm(executed[:3, 3] + executed[:3, :3] @ before_m - perfect.pivot_m) < 0.001
+    perfect.rotate(ROTATION)
+    assert np.linalg.norm(perfect.pivot_m - before_m - shift_m) < 0.003
+    with pytest.raises(StationError, match="out of reach"):
+        perfect.move(se3.transform(np.eye(3), np.array([2.0, 0.0, 0.0])))
+
+
 def test_out_of_reach_is_refused_before_anything_moves(cell):
     axes = so3.sample_axes(np.random.default_rng(0), 40)
     refused = [R for R in so3.exp(3.1 * axes) if not cell.reachable(R)]

@@ -59,8 +59,8 @@ def test_a_replay_decides_as_the_loop_did(tmp_path, station, strategy):
     recording.finish(first)
     replayed = ReplayedStation(tmp_path / "record")
     assert (replayed.record["status"], replayed.record["converged"]) == (first.status, first.converged)
-    np.testing.assert_array_equal(replayed.goal().depth_m, goal.depth_m)
-    same(orient(replayed, replayed.goal(), ByNumber(0.9), strategy, limits=NOW), first)
+    np.testing.assert_array_equal(replayed.goal().image.depth_m, goal.depth_m)
+    same(orient(replayed, replayed.goal().image, ByNumber(0.9), strategy, limits=NOW), first)
 
 
 def test_failures_are_recorded_and_come_again(tmp_path, station):

@@ -41,6 +41,33 @@ def test_the_object_rotates_in_camera_axes_and_stays_in_its_place(cell, station)
     assert isinstance(station, Station)
 
 
+MOVE = se3.transform(so3.exp(np.array([0.05, -0.1, 0.2])), np.array([0.03, -0.02, 0.04]))
+
+
+def test_the_object_moves_in_camera_axes(cell, station):
+    before = cell.T_camera_object
+    executed = station.move(MOVE)
+    np.testing.assert_allclose(cell.T_camera_object, MOVE @ before, atol=1e-9)
+    np.testing.assert_allclose(executed, MOVE, atol=1e-9)
+    np.testing.assert_allclose(station.pivot_m, (MOVE @ before)[:3, 3], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("T_step", "expected"),
+    [
+        (np.eye(3), "rigid"),
+        (se3.transform(np.eye(3), np.array([5.0, 0.0, 0.0])), "out of reach"),
+        (se3.transform(so3.exp(np.array([1.0, 0.0, 0.0])), np.zeros(3)), "rotate"),
+    ],
+)
+@pytest.mark.usefixtures("unchecked")
+def test_a_wrong_move_is_refused_without_motion(cell, station, T_step, expected):
+    before = cell.T_camera_object
+    with pytest.raises(StationError, match=expected):
+        station.move(T_step)
+    np.testing.assert_array_equal(cell.T_camera_object, before)
+
+
 def test_the_pivot_is_the_object_seen_by_the_camera(cell, station):
     np.testing.assert_allclose(station.pivot_m, cell.T_camera_object[:3, 3], atol=1e-9)
 

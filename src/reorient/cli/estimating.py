@@ -34,7 +34,8 @@ class Estimate:
     current: Positional[Path]
     """Depth image of the object as it is now: .png, .tif, .npy, .npz, .exr, .pgm, .pfm, .pcd or .ply."""
     goal: Positional[Path]
-    """Depth image of the object as it should be."""
+    """Depth image of the object as it should be, or a goal of several views as of ``reorient capture --views`` and
+    ``reorient goal from-mesh``."""
     frames: Frames = field(default_factory=Frames)
     estimator: str = "rotation-search"
     """One of default (rotation-search), rotation-search, fast, thorough, gicp, icp, paper and swift, an .onnx file,
@@ -64,7 +65,8 @@ class Estimate:
         current, goal = (each.isolated for each in inputs)
         pivot_m = None if self.pivot is None else np.array(self.pivot)
         with in_one_line("the estimator failed"):
-            estimate = as_estimate(estimator.estimate(current, goal, pivot_m), current, goal)
+            answer = estimator.estimate(current, inputs[1].goal, pivot_m)
+            estimate = as_estimate(answer, current, goal)
         if self.explain is not None:
             from reorient.reporting.explaining import picture
             from reorient.runs.files import replacing

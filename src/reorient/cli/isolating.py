@@ -10,7 +10,7 @@ from reorient.cli.arguments import Metavar
 from reorient.errors import ReorientError
 
 if TYPE_CHECKING:
-    from reorient.imaging import DepthImage, Isolation
+    from reorient.imaging import DepthImage, Goal, GoalView, Isolation
 
 T = TypeVar("T")
 
@@ -23,6 +23,15 @@ class Input:
     """current or goal."""
     raw: "DepthImage"
     isolated: "DepthImage"
+    views: "tuple[GoalView, ...]" = ()
+    """Further views, of a goal."""
+
+    @property
+    def goal(self) -> "Goal":
+        """The isolated image with its further views."""
+        from reorient.imaging import Goal
+
+        return Goal(self.isolated, self.views)
 
 
 @dataclass(frozen=True)
@@ -87,7 +96,7 @@ class Frames(IsolationOptions):
 
     One value is for both images, two are for CURRENT and GOAL. For --camera, --mask, --background, --near and --far the
     value '-' is none: "--near 0.3 -" limits CURRENT. The isolation options combine; the largest cluster of what they
-    leave is the object.
+    leave is the object. A goal of several views is isolated already: none of the options is for it.
     """
 
     camera: Annotated[tuple[str, ...], Metavar("PATH")] = ()
@@ -101,13 +110,17 @@ class Frames(IsolationOptions):
     def read(self, path: Path, *, goal: bool, show: Path | None = None) -> Input:
         """The frame, raw and isolated; ``goal``: by the options for GOAL, not those for CURRENT.
 
-        ``show``: a picture to draw where the frame is refused, with what would have been kept.
+        A goal of several views is isolated already, so the options are not for it. ``show``: a picture to draw where
+        the frame is refused, with what would have been kept.
         """
         from reorient.imaging.files import read_depth, read_mask
+        from reorient.imaging.goal_files import read_goal
 
         name, camera_file = "goal" if goal else "current", _each(self.camera, goal, "--camera")
         camera = None if camera_file == "-" else camera_file
         isolation, scale_m = self.isolation(goal), _each(self.depth_scale, goal, "--depth-scale")
+        if goal and (several := read_goal(path, camera, scale_m)).views:
+            return Input(name, several.image, several.image, several.views)
         raw = read_depth(path, camera, scale_m)
         if isinstance(isolation.background, str):
             isolation = replace(isolation, background=read_depth(isolation.background, camera or raw.camera, scale_m))

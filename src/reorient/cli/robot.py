@@ -2,7 +2,7 @@
 
 import shutil
 import sys
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,16 +12,17 @@ from reorient import __version__
 from reorient.cli.arguments import Positional
 from reorient.cli.estimating import confidence_in_words
 from reorient.cli.isolating import GoalFrame
+from reorient.cli.limits import LimitChoice
 from reorient.cli.stations import StationChoice
 from reorient.errors import ReorientError, check_range
 from reorient.runs.files import make_folder
 
 if TYPE_CHECKING:
     from reorient.controller import Limits, OrientResult, Step, Strategy
+    from reorient.imaging import Goal
     from reorient.stations.replay import ReplayedStation
 
 EXIT_CODES = {"converged": 0, "dry_run": 0, "interrupted": 130}  # of the other statuses: 1
-OWN_STEP_DEG, OWN_ROTATION_DEG = 45.0, 720.0  # limits for a station of the user's own
 _OWNERS = {"eta": ("algorithm1",), "delta_deg": ("algorithm1", "direct")}  # options that not every strategy has
 
 
@@ -66,55 +67,6 @@ class StrategyChoice:
 
 
 @dataclass(frozen=True)
-class LimitChoice:
-    """Limits of the moves."""
-
-    max_step_deg: float | None = None
-    """Largest angle of one move, above which it is made in parts, by default 45 for a station of your own and else
-    180."""
-    max_rotation_deg: float | None = None
-    """Largest sum of the angles of all moves, by default 720 for a station of your own and else unlimited."""
-    dry_run: bool = False
-    """Capture, estimate and print the first move, but move nothing."""
-    confirm_first_move: bool = False
-    """Ask at the terminal before the first move, as it is done for a station of your own anyway."""
-    yes: bool = False
-    """Make the first move without asking."""
-    timeout_s: float | None = None
-    """Longest time of a capture or a move, after which the loop ends and the robot is stopped, by default unlimited."""
-
-    def __post_init__(self) -> None:
-        """Raises ReorientError for values out of range."""
-        check_range(self, "max_step_deg", "max_rotation_deg", "timeout_s", above=True)
-        if self.yes and self.confirm_first_move:
-            raise ReorientError("--yes and --confirm-first-move contradict each other: expected one of them")
-
-    def of(self, own: bool) -> "LimitChoice":
-        """The choice with its defaults for the user's own station, or for any other."""
-        if not own:
-            return self
-        return replace(
-            self,
-            max_step_deg=OWN_STEP_DEG if self.max_step_deg is None else self.max_step_deg,
-            max_rotation_deg=OWN_ROTATION_DEG if self.max_rotation_deg is None else self.max_rotation_deg,
-            confirm_first_move=not self.yes,
-        )
-
-    def limits(self, wait_s: float = 0.5) -> "Limits":
-        """The limits of the loop."""
-        from reorient.controller import Limits
-
-        return Limits(
-            max_step_rad=np.radians(180.0 if self.max_step_deg is None else self.max_step_deg),
-            max_rotation_rad=np.inf if self.max_rotation_deg is None else np.radians(self.max_rotation_deg),
-            confirm=_confirmed if self.confirm_first_move else None,
-            dry_run=self.dry_run,
-            wait_s=wait_s,
-            timeout_s=np.inf if self.timeout_s is None else self.timeout_s,
-        )
-
-
-@dataclass(frozen=True)
 class Orient:
     """Rotate the object at a station until it matches the goal image.
 
@@ -127,7 +79,7 @@ class Orient:
     """
 
     goal: Positional[Path]
-    """Depth image of the object as it should be, as written by ``reorient capture``."""
+    """Depth image of the object as it should be, or a goal of several views, as written by ``reorient capture``."""
     frames: GoalFrame = field(default_factory=GoalFrame)
     isolate_station: bool = False
     """Isolate the images of the station by the same options, by the first of two values."""
@@ -136,6 +88,8 @@ class Orient:
     """One of default (rotation-search), rotation-search, fast, thorough, gicp, icp, paper and swift, an .onnx file,
     or your own module:Class."""
     strategy_choice: StrategyChoice = field(default_factory=StrategyChoice)
+    translation: bool = False
+    """Bring the object to the place of the goal, too, where the station can move it; at most 0.3 m at once."""
     limit_choice: LimitChoice = field(default_factory=LimitChoice)
     record: Path | None = None
     """New folder for a recording of all images and moves, which ``reorient replay`` reads."""
@@ -152,7 +106,7 @@ class Orient:
         chosen = self.limit_choice.of(self.choice.own)
         strategy, limits = self.strategy_choice.load(), chosen.limits()
         self.choice.check()
-        goal, estimator = self.frames.read(self.goal, goal=True).isolated, load_estimator(self.estimator)
+        goal, estimator = self.frames.read(self.goal, goal=True).goal, load_estimator(self.estimator)
         if self.out is not None:
             make_folder(self.out)
         station = self.choice.open()
@@ -163,6 +117,7 @@ class Orient:
             about = {
                 "estimator": weights.name if weights else self.estimator,
                 "strategy": asdict(self.strategy_choice),
+                "translation": self.translation,
                 "limits": asdict(chosen) | {"confirm_first_move": False, "timeout_s": None},
                 "station": self.choice.station,
                 "version": __version__,
@@ -171,7 +126,9 @@ class Orient:
             station = RecordingStation(station, self.record, goal, about)
             if weights:
                 shutil.copy(weights, self.record)
-        return _close_loop(station, goal, estimator, strategy, limits, self.out, f"Station {self.choice.station}")
+        return _close_loop(
+            station, goal, estimator, strategy, limits, self.out, f"Station {self.choice.station}", self.translation
+        )
 
 
 @dataclass(frozen=True)
@@ -210,7 +167,8 @@ class Replay:
         estimator = load_estimator(estimator_name)
         if self.out is not None:
             make_folder(self.out)
-        return _close_loop(station, station.goal(), estimator, strategy, limits, self.out, f"Record {self.record.name}")
+        title, translation = f"Record {self.record.name}", bool(station.record.get("translation", False))
+        return _close_loop(station, station.goal(), estimator, strategy, limits, self.out, title, translation)
 
     def _recorded_estimator(self, station: "ReplayedStation") -> str:
         """The estimator that the record names: of the package, or weights within the record."""
@@ -232,35 +190,13 @@ def print_outcome(result: "OrientResult") -> int:
         print(f"error during the loop: {error}")
     moves = f"{result.moves} move" + "s" * (result.moves != 1)
     if result.converged:
-        print(f"converged after {moves}, confidence {confidence_in_words(result.confidence)}")
+        place = "" if result.distance_m is None else f", {1000 * result.distance_m:.1f} mm from the goal's place"
+        print(f"converged after {moves}{place}, confidence {confidence_in_words(result.confidence)}")
     elif code:
         print(f"reorient: not converged after {moves} ({result.status}): {result.reason}", file=sys.stderr)
     else:
         print(result.reason)
     return code
-
-
-def _confirmed(R_step: np.ndarray) -> bool:
-    """Ask at the terminal, below the reason for the move; no answer is a no."""
-    from reorient import so3
-
-    rotvec = np.degrees(so3.log(R_step))
-    vector = " ".join(f"{x:.1f}" for x in rotvec)
-    angle_deg = np.linalg.norm(rotvec)
-    return confirmed(
-        f"first move: {angle_deg:.1f} deg (rotation vector [{vector}] deg, camera axes)", "make this move?"
-    )
-
-
-def confirmed(plan: str, question: str) -> bool:
-    """Print a plan and ask for it at the terminal; no answer is a no."""
-    print(plan, file=sys.stderr)
-    print(f"{question} [y/N]", file=sys.stderr, flush=True)
-    try:
-        return input().strip().lower() in ("y", "yes")
-    except EOFError:
-        print("no answer: --yes moves without asking", file=sys.stderr)
-        return False
 
 
 class _Printer:
@@ -275,18 +211,27 @@ class _Printer:
 
 
 def _close_loop(
-    station: Any, goal: Any, estimator: Any, strategy: "Strategy | None", limits: "Limits", out: Path | None, title: str
+    station: Any,
+    goal: "Goal",
+    estimator: Any,
+    strategy: "Strategy | None",
+    limits: "Limits",
+    out: Path | None,
+    title: str,
+    translation: bool,
 ) -> int:
     """Run the loop, print its decisions and its outcome, write its page; the exit code."""
     from reorient.controller import orient
     from reorient.reporting import write_loop
     from reorient.stations.replay import RecordingStation
 
-    result = orient(station, goal, estimator, strategy, limits=limits, subscribers=[_Printer()])
+    result = orient(
+        station, goal, estimator, strategy, limits=limits, subscribers=[_Printer()], translation=translation
+    )
     if isinstance(station, RecordingStation):
         station.finish(result)
     code = print_outcome(result)
     if out is not None and result.steps:
-        for path in write_loop(out, goal, result, [], title):
+        for path in write_loop(out, goal.image, result, [], title):
             print(path)
     return code

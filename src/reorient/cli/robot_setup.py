@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from reorient.cli.arguments import Positional
-from reorient.cli.robot import confirmed
+from reorient.cli.limits import confirmed
 from reorient.errors import ReorientError
 
 if TYPE_CHECKING:

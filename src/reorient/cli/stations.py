@@ -1,15 +1,12 @@
-"""The verb capture, and the choice of a station."""
+"""The choice of a station."""
 
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from reorient.cli.arguments import Metavar, Positional
-from reorient.cli.isolating import IsolationOptions
+from reorient.cli.arguments import Metavar
 from reorient.errors import ReorientError, check_range
-from reorient.plugins import in_one_line
 
 if TYPE_CHECKING:
     from reorient.controller.station import Station
@@ -81,34 +78,3 @@ def rotate_away(station: Any, angle_deg: float, rng: np.random.Generator) -> Non
 
     angle_rad = np.radians(angle_deg)
     station.rotate(so3.matrix_from_quat(so3.sample_bounded(rng, 1, angle_rad, angle_rad))[0])
-
-
-@dataclass(frozen=True)
-class Capture:
-    """Capture the goal image at a station.
-
-    Examples:
-        reorient capture goal.npz --station my_cell:MyStation
-        reorient capture goal.npz --station my_cell:RawCamera --around 0 0 0.5 0.15 --remove-plane
-    """
-
-    out: Annotated[Positional[Path], Metavar("GOAL")]
-    """File to write: .npz, .tif, or .png with steps of 0.1 mm. Each also holds the camera."""
-    choice: StationChoice = field(default_factory=StationChoice)
-    isolation: IsolationOptions = field(default_factory=IsolationOptions)
-
-    def run(self) -> None:
-        """Capture, isolate and write."""
-        from reorient.controller.station import captured
-        from reorient.imaging import Isolation
-        from reorient.imaging.files import write_depth
-
-        isolation = self.isolation.isolation()
-        station: Any = replace(self.choice, station=self.choice.station or "rendered").open()
-        with in_one_line("the station failed to capture"):
-            # a simulated gripper can be left out of the goal image
-            image = captured(station.capture_goal() if hasattr(station, "capture_goal") else station.capture())
-        if isolation != Isolation():
-            image = isolation(image)
-        write_depth(self.out, image, scale_m=0.0001)
-        print(self.out if self.choice.station else f"{self.out} (simulated: no --station was given)")

@@ -36,13 +36,18 @@ class Verb:
 GROUPS = {
     "estimate": {
         "estimate": Verb("estimating:Estimate", "Estimate the rotation between two depth images of one object."),
+        "transfer": Verb("transferring:Transfer", "Transfer taught tool poses to where the object is now."),
+    },
+    "goal": {
+        "goal check": Verb("goals:Check", "State what a goal can and cannot tell."),
+        "goal from-mesh": Verb("goals:FromMesh", "Render a goal from a mesh."),
     },
     "robot": {
         "new-robot": Verb("robot_setup:NewRobot", "Write a commented robot.toml to fill in."),
         "calibrate": Verb("robot_setup:Calibrate", "Find the camera's pose and the pivot by rotating the held object."),
         "check": Verb("robot_setup:Check", "Check a robot cell by small motions, and name a mistake in words."),
         "demo": Verb("demo:Demo", "Rotate a simulated object to a goal, and write a GIF and a page of the run."),
-        "capture": Verb("stations:Capture", "Capture the goal image at a station."),
+        "capture": Verb("capturing:Capture", "Capture the goal at a station."),
         "orient": Verb("robot:Orient", "Rotate the object at a station until it matches the goal image."),
         "guide": Verb(
             "guiding:Guide",

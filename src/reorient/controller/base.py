@@ -95,6 +95,8 @@ class OrientResult:
     equally, unless the object appears symmetric; None where unknown."""
     errors: tuple[str, ...] = ()
     """Errors that the loop survived, and the last one, in words."""
+    distance_m: float | None = None
+    """Distance from the goal's place that ``orient(translation=True)`` left, by the last estimates; else None."""
 
     @property
     def converged(self) -> bool:

@@ -24,9 +24,11 @@ class Limits:
     """Larger moves are made in parts."""
     max_rotation_rad: float = float("inf")
     """The loop ends before the angles of all moves add up to more."""
-    confirm: Callable[[Float[np.ndarray, "3 3"]], bool] | None = None
-    """Called with the first move (camera axes, left), after the subscribers' ``decided``; the loop ends where it
-    returns False."""
+    max_translation_m: float = 0.3
+    """Largest distance of one translation (``orient(translation=True)``)."""
+    confirm: Callable[[Float[np.ndarray, "n n"]], bool] | None = None
+    """Called with the first move, after the subscribers' ``decided``: a rotation (3, 3), or a (4, 4) transform of a
+    translation before it (camera axes, left); the loop ends where it returns False."""
     dry_run: bool = False
     """Capture, estimate and decide once; move nothing."""
     wait_s: float = 0.5
@@ -41,6 +43,8 @@ class Limits:
                 f"largest step {self.max_step_rad} rad, largest total {self.max_rotation_rad} rad, pause "
                 f"{self.wait_s} s: expected angles above 0 and a pause from 0"
             )
+        if not self.max_translation_m > 0:
+            raise ReorientError(f"largest translation {self.max_translation_m} m: expected metres above 0")
         if self.max_step_rad < _LEAST_STEP_RAD or not self.timeout_s > 0:
             raise ReorientError(
                 f"largest step {np.degrees(self.max_step_rad):g} deg, timeout {self.timeout_s:g} s: expected at least "

@@ -17,6 +17,7 @@ from reorient.controller.base import Decision, OrientResult, Status, Step, Strat
 from reorient.controller.fusing import Fusing
 from reorient.controller.limits import Limits, nearest_reachable
 from reorient.controller.motion import MotionRecord
+from reorient.controller.positioning import Positioning
 from reorient.controller.session import Session, StationHangs
 from reorient.controller.station import Station, missing_members, pivot_of
 from reorient.errors import ReorientError
@@ -43,6 +44,7 @@ def orient(
     pivot_m: Float[np.ndarray, "3"] | None = None,
     limits: Limits | None = None,
     subscribers: Sequence[Callable[[Step], None]] = (),
+    translation: bool = False,
 ) -> OrientResult:
     """Rotate the object at the station until it matches the goal.
 
@@ -54,12 +56,13 @@ def orient(
     An error of station or estimator is retried as often as the strategy's patience allows, but a programming error is
     not. After that a large last move is undone, if the strategy wants that, or else the loop ends with the record kept.
     It also ends with the record kept at a KeyboardInterrupt, where a call of the station does not end in time, and
-    where the images of two moves contradict the rotations that the station reported. Raises ReorientError for bad
-    arguments, before anything moves.
+    where the images of two moves contradict the rotations that the station reported. ``translation``: bring the object
+    to the place of the goal, too, by ``station.move``: roughly before the loop, exactly once it has converged. Raises
+    ReorientError for bad arguments, before anything moves.
     """
     goal = as_goal(goal)
     for thing, members in (
-        (station, ("capture", "rotate", "pivot_m")),
+        (station, ("capture", "rotate", "pivot_m", *(["move"] * translation))),
         (estimator, ("estimate",)),
         (strategy, () if strategy is None else _STRATEGY),
     ):
@@ -69,7 +72,11 @@ def orient(
         raise ReorientError(f"limits {limits!r}: expected reorient.Limits, or None")
     pivot_m = pivot_of(station) if pivot_m is None else pivot_m
     check_pair(goal.image, goal, pivot_m)
-    return _Loop(station, goal, for_any_goal(estimator), strategy, pivot_m, limits or Limits(), subscribers).run()
+    loop = _Loop(station, goal, for_any_goal(estimator), strategy, pivot_m, limits or Limits(), subscribers)
+    try:
+        return loop.run_in_place() if translation else loop.run()
+    finally:
+        loop.session.close()
 
 
 class _Ended(Exception):
@@ -112,11 +119,23 @@ class _Loop:
                 if observation is not None:
                     self.act(self.decide(*observation))
         except _Ended as end:
-            return OrientResult(tuple(self.steps), end.status, end.reason, end.confidence, tuple(self.errors))
+            return self.result(end.status, end.reason, end.confidence)
         except KeyboardInterrupt:
-            return OrientResult(tuple(self.steps), "interrupted", INTERRUPTED, None, tuple(self.errors))
-        finally:
-            self.session.close()
+            return self.result("interrupted", INTERRUPTED)
+
+    def run_in_place(self) -> OrientResult:
+        """Run between translations to the goal's place."""
+
+        def run(moved_m: Float[np.ndarray, "3"]) -> OrientResult:
+            self.pivot_m = None if self.pivot_m is None else self.pivot_m + moved_m
+            self.confirmed = bool(np.any(moved_m))
+            return self.run()
+
+        return Positioning(self.session, self.goal, self.estimator, self.limits).around(run)
+
+    def result(self, status: Status, reason: str, confidence: float | None = None) -> OrientResult:
+        """The record, and how the loop ended."""
+        return OrientResult(tuple(self.steps), status, reason, confidence, tuple(self.errors))
 
     def observe(self) -> tuple[DepthImage, RotationEstimate] | None:
         """Capture and estimate; None where one failed and is to be retried."""

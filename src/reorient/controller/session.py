@@ -4,17 +4,20 @@ every call ends in time."""
 from collections.abc import Callable
 from queue import Empty, Queue
 from threading import TIMEOUT_MAX, Thread
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float
 
 from reorient import so3
 from reorient.controller.limits import Limits
-from reorient.controller.station import Station, captured, clock_of, executed
+from reorient.controller.station import Station, captured, clock_of, executed, moved
 from reorient.errors import StationError
 from reorient.imaging import DepthImage
 from reorient.plugins import USER_ERRORS, in_words
+from reorient.se3 import Transform
+
+T = TypeVar("T")
 
 STOP_S = 5.0
 """Longest time of the station's ``stop``."""
@@ -57,19 +60,29 @@ class Session:
             R_done = self._rotate(part) @ R_done
         return R_done
 
+    def move(self, T_step: Transform) -> Transform:
+        """Move the object (camera axes, metres), without parts; returns the executed motion."""
+        return self._moved(lambda: moved(self._call(self._station.move, T_step)))  # type: ignore[attr-defined]
+
     def _rotate(self, part: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
         angle_rad = float(so3.angle(part))  # it may have been made before an error
         try:
-            done = executed(self._call(self._station.rotate, part))
+            done = self._moved(lambda: executed(self._call(self._station.rotate, part)))
             angle_rad = float(so3.angle(done))
+        finally:
+            self.rotated_rad += angle_rad
+        return done
+
+    def _moved(self, move: Callable[[], T]) -> T:
+        """The result of a move; after it, or its error, the frames up to now are stale."""
+        try:
+            return move()
         except (KeyboardInterrupt, StationHangs):
             self._stop()
             raise
-        finally:  # frames up to now are stale: by the station's clock, or else those not newer than the last one
-            self.rotated_rad += angle_rad
+        finally:  # by the station's clock, or else those not newer than the last one
             clock_s = None if self._call.ended else self._call(clock_of, self._station)
             self._stale_before_s = float(np.nextafter(self._last_stamp_s, np.inf)) if clock_s is None else clock_s
-        return done
 
     def reachable(self, R_step: Float[np.ndarray, "3 3"]) -> bool:
         """Whether the station can make a move, if it knows. The question is about the whole move, though the limits may

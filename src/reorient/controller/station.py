@@ -10,13 +10,16 @@ from reorient import so3
 from reorient.errors import ProtocolError, ReorientError, StationError
 from reorient.imaging import DepthImage
 from reorient.plugins import USER_ERRORS, in_words
+from reorient.se3 import Transform
 
 
 @runtime_checkable
 class Station(Protocol):
     """A robot cell, real or simulated. Its methods raise StationError, or the driver's own exceptions.
 
-    Three further methods are optional. ``reachable(R_step) -> bool``: whether ``rotate`` could execute it.
+    Four further methods are optional. ``reachable(R_step) -> bool``: whether ``rotate`` could execute it.
+    ``move(T_step) -> T_executed``: move the object, T_after = T_step @ T_before, (4, 4), camera axes, metres; needed by
+    ``orient(translation=True)``, which moves it without rotation; returns the executed motion.
     ``clock_s() -> float``: the clock of the frames' stamps, by which a frame from before the end of the last move is
     refused; without it only frames that are not newer than the last one before the move are. ``stop()``: stops the
     robot; called, from another thread, after a move that was interrupted or did not end in time.
@@ -72,6 +75,22 @@ def captured(image: object) -> DepthImage:
     if not isinstance(image, DepthImage):
         raise ProtocolError(f"capture() returned a {type(image).__name__}: expected DepthImage(depth_m, camera)")
     return image
+
+
+def rigid(T_step: object) -> Transform:
+    """The argument of ``move``. Raises StationError where it is no rigid transform."""
+    try:
+        return moved(T_step)
+    except ProtocolError as error:
+        raise StationError("refused to move: expected a rigid (4, 4) transform") from error
+
+
+def moved(T: object) -> Transform:
+    """The result of ``move``. Raises ProtocolError where it is no rigid transform."""
+    motion = np.asarray(T, float) if T is not None else np.empty(0)
+    if motion.shape != (4, 4) or not so3.is_rotation(motion[:3, :3]) or not np.all(np.isfinite(motion[:3, 3])):
+        raise ProtocolError("move() returned no motion: expected the rigid (4, 4) transform of the executed motion")
+    return motion
 
 
 def executed(R: object) -> Float[np.ndarray, "3 3"]:

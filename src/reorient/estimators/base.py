@@ -13,6 +13,7 @@ from reorient.imaging import DepthImage
 from reorient.imaging.depth_image import MILLIMETRES_ABOVE
 from reorient.imaging.goal import Goal
 from reorient.imaging.refusals import require_isolated
+from reorient.imaging.summary import check_scale
 from reorient.registration import DepthView, Evidence, inlier_tolerance_m, measure_evidence
 
 History = Sequence[tuple[DepthImage, Float[np.ndarray, "3 3"]]]
@@ -41,6 +42,9 @@ class RotationEstimate:
     symmetries: tuple[Float[np.ndarray, "3 3"], ...] = ()
     """Rotations S, the goal's camera axes, such that S R_goal_current is the same to the object, by the symmetry that a
     goal of views from all sides shows; the answer is the smallest of these rotations. Empty without such a goal."""
+    motion_covariance: Float[np.ndarray, "6 6"] | None = None
+    """Covariance of the rotation vector d (rad) and the shift u (m) in p_true = exp(d) p_goal + u, camera axes, for
+    points p_goal of the answer, if it is near the truth; None if unknown. Its first block is ``covariance_rad2``."""
     warnings: tuple[str, ...] = ()
     """What was found wrong with the input, a sentence each."""
 
@@ -98,8 +102,8 @@ class OneView:
         goal: DepthImage | Goal,
         pivot_m: Float[np.ndarray, "3"] | None = None,
         history: History = (),
-    ) -> RotationEstimate:
-        """As ``Estimator.estimate``."""
+    ) -> Any:
+        """As ``Estimator.estimate``; whatever a user's own returns."""
         return self.estimator.estimate(current, goal.image if isinstance(goal, Goal) else goal, pivot_m, history)
 
     def __getattr__(self, name: str) -> Any:
@@ -117,7 +121,8 @@ def for_any_goal(estimator: Estimator) -> Estimator:
 def check_pair(
     current: DepthImage, goal: DepthImage | Goal, pivot_m: Float[np.ndarray, "3"] | None = None, fewest: int = 20
 ) -> None:
-    """Raise ReorientError for input that no estimator can use: few returns, no isolated object, a bad pivot."""
+    """Raise ReorientError for input that no estimator can use: few returns, no isolated object, a goal of several
+    views of another size, a bad pivot."""
     further = goal.views if isinstance(goal, Goal) else ()
     primary = goal.image if isinstance(goal, Goal) else goal
     named = [("current", current), ("goal", primary), *((f"goal view {k}", x.image) for k, x in enumerate(further, 1))]
@@ -127,15 +132,21 @@ def check_pair(
         if (returns := np.count_nonzero(image.depth_m)) < fewest:
             raise ReorientError(f"{name} image has {returns} returns: expected at least {fewest} on the object")
         require_isolated(image)
+    if isinstance(goal, Goal):
+        check_scale(current, goal)
     if pivot_m is not None:
-        try:
-            pivot = np.asarray(pivot_m, float)
-        except (TypeError, ValueError):
-            pivot = np.empty(0)
-        if pivot.shape != (3,) or not np.all(np.isfinite(pivot)) or pivot[2] <= 0:
-            raise ReorientError(f"pivot {pivot_m}: expected three finite metres in camera axes, in front of the camera")
-        if pivot[2] > MILLIMETRES_ABOVE:
-            raise ReorientError(f"pivot {pivot_m}: this looks like millimetres, expected metres (times 0.001)")
+        _check_pivot(pivot_m)
+
+
+def _check_pivot(pivot_m: object) -> None:
+    try:
+        pivot = np.asarray(pivot_m, float)
+    except (TypeError, ValueError):
+        pivot = np.empty(0)
+    if pivot.shape != (3,) or not np.all(np.isfinite(pivot)) or pivot[2] <= 0:
+        raise ReorientError(f"pivot {pivot_m}: expected three finite metres in camera axes, in front of the camera")
+    if pivot[2] > MILLIMETRES_ABOVE:
+        raise ReorientError(f"pivot {pivot_m}: this looks like millimetres, expected metres (times 0.001)")
 
 
 def checked_history(history: History) -> History:

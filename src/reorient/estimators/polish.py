@@ -91,15 +91,18 @@ def register(problem: Problem, answer: Hypotheses, voxel: float) -> Polished | N
     return Polished(Hypotheses(R[None], T[None, :3, 3]), int(result.iterations))
 
 
-def uncertainty(problem: Problem, answer: Hypotheses) -> tuple[Float[np.ndarray, "3 3"], bool]:
-    """Covariance (rad^2) of the rotation vector of a left perturbation, from the curvature at the answer; and whether
-    the answer has converged: one more Gauss-Newton step would rotate it by less than its standard error."""
+def uncertainty(problem: Problem, answer: Hypotheses) -> tuple[Float[np.ndarray, "6 6"], bool]:
+    """Covariance of a left perturbation, rotation vector (rad) and shift (m), from the curvature at the answer; and
+    whether the answer has converged: one more Gauss-Newton step would rotate it by less than its standard error."""
     noise = max(_residual(problem, answer), POLISH.least_noise)
     H, g = normal_equations(problem, answer, POLISH.noise_factor * noise, POLISH.points)
     inverse = np.linalg.inv(H[0] + 1e-9 * np.eye(6))
-    covariance_rad2 = POLISH.covariance_scale * inverse[:3, :3]
+    to_origin = np.eye(6)  # the steps rotate about the goal's centre, and shift relative to half the diameter
+    to_origin[3:, 3:] *= problem.diameter_m / 2
+    to_origin[3:, :3] = np.cross(problem.prior.goal_m, np.eye(3)).T
+    covariance = POLISH.covariance_scale * to_origin @ inverse @ to_origin.T
     step_rad = float(np.linalg.norm((inverse @ g[0])[:3]))
-    return covariance_rad2, step_rad <= float(np.sqrt(np.trace(covariance_rad2)))
+    return covariance, step_rad <= float(np.sqrt(np.trace(covariance[:3, :3])))
 
 
 def _residual(problem: Problem, answer: Hypotheses) -> float:

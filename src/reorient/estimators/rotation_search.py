@@ -173,7 +173,7 @@ def polished(verified: Verified, group: Hypotheses = NONE) -> RotationEstimate:
     away_rad = so3.angle_difference(hypotheses.R[distinct][:, None], same.R).min(axis=1)
     others = distinct[away_rad > DISTINCT_RAD]
     answer = polish(problem, chosen)
-    covariance_rad2, converged = uncertainty(problem, answer.hypothesis)
+    covariance, converged = uncertainty(problem, answer.hypothesis)
     motion = answer.hypothesis.R[0], answer.hypothesis.t_m[0]
     tolerance_m = INLIER_TOLERANCE * problem.diameter_m
     evidence = verified.problem.evidence(*motion, tolerance_m, EVIDENCE_POINTS)
@@ -182,7 +182,8 @@ def polished(verified: Verified, group: Hypotheses = NONE) -> RotationEstimate:
         replace(evidence, converged=converged, iterations=answer.iterations),
         confidence=verified.confidence,
         alternatives=tuple((hypotheses.R[i], float(share[i])) for i in others),
-        covariance_rad2=covariance_rad2,
+        covariance_rad2=covariance[:3, :3],
+        motion_covariance=covariance,
         free_axis=axis,
         symmetries=tuple(group.R),
         warnings=verified.warnings,

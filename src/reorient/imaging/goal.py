@@ -1,13 +1,20 @@
 """The goal: a primary depth image of the object as desired, and further views of it from known sides."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
 from reorient import so3
 from reorient.errors import ReorientError
+from reorient.imaging.camera import Camera
 from reorient.imaging.depth_image import DepthImage
+from reorient.imaging.viewpoints import spread_rotations
+from reorient.se3 import Transform
+
+MESH_VIEWS = 5
+"""Further views of a goal from a mesh: with the primary one they look along six directions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +61,26 @@ class Goal:
         object.__setattr__(self, "views", tuple(self.views))
         if not all(isinstance(view, GoalView) for view in self.views):
             raise ReorientError("views of the goal: expected GoalView(image, R_goal_view, t_goal_view_m)")
+
+    @classmethod
+    def from_mesh(
+        cls,
+        path: str | Path,
+        T_camera_object: Transform,
+        camera: Camera,
+        unit_m: float = 0.001,
+        views: int = MESH_VIEWS,
+    ) -> "Goal":
+        """A goal rendered from a mesh file (.stl, .obj, .ply, ...) without noise, with ``views`` further views.
+
+        ``T_camera_object`` takes the mesh, in metres, to the goal pose in camera axes. ``unit_m``: metres per unit of
+        the file. The further views show the object rotated about the centre of its bounding box, so that all sides are
+        visible. Raises ReorientError for a broken file, for a transform that is not rigid, and where the object is not
+        inside the view as a whole, as with a wrong unit.
+        """
+        from reorient.world.mesh_goal import mesh_goal
+
+        return mesh_goal(path, T_camera_object, camera, unit_m, spread_rotations(views))
 
 
 def as_goal(goal: DepthImage | Goal) -> Goal:

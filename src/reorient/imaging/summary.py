@@ -4,10 +4,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from reorient.errors import ReorientError
 from reorient.imaging.connected import size_m
 from reorient.imaging.depth_image import DepthImage
+from reorient.imaging.goal import Goal
 
 _LARGEST_RATIO = 1.5  # of the sizes in current and goal image
+_WRONG_SCALE = 2.0  # of the sizes of the object now and a goal of several views: no view of one object differs by more
+_UNITS = {10.0: ("mm", "cm"), 25.4: ("mm", "in"), 1000.0: ("mm", "m"), 2.54: ("cm", "in"), 39.37: ("in", "m")}
+_UNIT_RATIO = 1.4  # of a ratio of sizes, which depends on the view, to that of two units
 _FEWEST_PX = 3  # returns at the end of the frame of an object that touches it
 
 
@@ -52,3 +57,26 @@ def pair_warnings(current: Summary, goal: Summary) -> list[str]:
             "image: is it the same object, and isolated completely? (--show-input)"
         )
     return warnings
+
+
+def check_scale(current: DepthImage, goal: Goal) -> None:
+    """Raise ReorientError where the object now cannot have the size of a goal of several views, as with a wrong unit.
+
+    Seen whole, it is at most as long as the goal, and at least as long as the goal is wide.
+    """
+    if not goal.views:
+        return
+    sizes_m = np.array([size_m(image.points()) for image in (goal.image, *(view.image for view in goal.views))])
+    now_m = float(size_m(current.points())[0])
+    longest_m, width_m = float(sizes_m[:, 0].max()), float(sizes_m[:, 1].min())
+    if width_m / _WRONG_SCALE <= now_m <= longest_m * _WRONG_SCALE:
+        return
+    ratio = float(np.median(sizes_m[:, 0])) / now_m
+    factor = min(_UNITS, key=lambda x: abs(np.log(x) - abs(np.log(ratio))))
+    cure = "expected the same object, isolated completely"
+    if abs(np.log(factor) - abs(np.log(ratio))) < np.log(_UNIT_RATIO):
+        true, stated = _UNITS[factor] if ratio > 1 else _UNITS[factor][::-1]
+        cure = f"a factor of about {factor:g}, as of a mesh in {true} that is read as {stated}: expected another --unit"
+    raise ReorientError(
+        f"the object measures {1000 * now_m:.3g} mm now and {1000 * longest_m:.3g} mm in the views of the goal: {cure}"
+    )

@@ -16,6 +16,7 @@ from jaxtyping import Float
 from reorient import so3
 from reorient.imaging import DepthImage
 from reorient.imaging.goal import Goal
+from reorient.registration.agreement import agreed_pivot, best_agreeing
 from reorient.registration.depth_view import DepthView
 from reorient.registration.evidence import INLIER_TOLERANCE
 from reorient.registration.gauss_newton import normal_equations, refine, stepped
@@ -104,7 +105,7 @@ def _aligned(goal: Goal, pivot_m: tuple[float, ...] | None) -> tuple[Goal, tuple
     stated = dict(enumerate(_posed(goal, pivot_m)))
     warnings = []
     while True:
-        views = _together(stated)
+        views = best_agreeing(stated, _together(stated))
         found = {k: fit for k in views if k and (fit := _contradiction(views, k)) is not None}
         if not found:
             break
@@ -199,4 +200,4 @@ def _pivot(
                 g += by_center.T @ g_pair[0, 3:]
         step_m = np.linalg.solve(H, g)
         center_m = center_m - step_m * min(1.0, 0.1 * prior.diameter_m / max(float(np.linalg.norm(step_m)), 1e-12))
-    return np.asarray(center_m)
+    return agreed_pivot([PosedView(view, R, np.zeros(3)) for view, R in every], np.asarray(center_m))

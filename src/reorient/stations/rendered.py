@@ -7,9 +7,11 @@ import trimesh
 from jaxtyping import Float
 from numpy.random import Generator
 
-from reorient import so3
+from reorient import se3, so3
+from reorient.controller.station import rigid
 from reorient.errors import StationError
 from reorient.imaging import DepthImage
+from reorient.se3 import Transform
 from reorient.world.rendering import Renderer, World
 from reorient.world.sensing import Sensor, sense
 
@@ -55,6 +57,15 @@ class RenderedStation:
         self.R_camera_object = R_step @ self.R_camera_object
         self._time_s += FRAME_S
         return R_step
+
+    def move(self, T_step: Transform) -> Transform:
+        """Move the object exactly (camera axes, left). Raises StationError where T_step is no rigid transform."""
+        T = rigid(T_step)
+        self.R_camera_object = T[:3, :3] @ self.R_camera_object
+        self.placement = replace(self.placement, center_m=se3.apply(T, self.placement.center_m))
+        self.pivot_m = se3.apply(T, self.pivot_m)
+        self._time_s += FRAME_S
+        return T
 
     def clock_s(self) -> float:
         """Simulated seconds since the station was made: the clock of the frames' stamps."""

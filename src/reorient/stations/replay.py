@@ -1,6 +1,6 @@
 """Recording of a station in a folder, and the folder as a station, so that a failure can become a test.
 
-A record is ``record.json`` (the pivot, all captures and moves in order, errors included, and the answers of
+A record is ``record.json`` (the pivot, all captures, rotations and moves in order, errors included, and the answers of
 ``reachable``) beside ``goal.npz`` and one ``.npz`` for each frame. It is complete before and after every act; an act
 that never ended has an error, too. A record names files inside its folder only, and runs no code.
 """
@@ -14,27 +14,30 @@ from jaxtyping import Float
 
 from reorient import so3
 from reorient.controller import OrientResult
-from reorient.controller.station import Station, captured, clock_of, pivot_of
+from reorient.controller.station import Station, captured, clock_of, moved, pivot_of
 from reorient.errors import ReorientError, StationError
-from reorient.imaging import DepthImage
+from reorient.imaging import DepthImage, Goal, as_goal
 from reorient.imaging.files import read_depth, write_depth
+from reorient.imaging.goal_files import read_goal, write_goal
 from reorient.runs.files import make_folder, replacing
+from reorient.se3 import Transform
 
 UNFINISHED = "did not end"
 SAME_RAD = float(np.radians(0.1))  # largest difference of a move from the recorded one
+SAME_M = 0.0005  # the same for a translation
 
 
 class RecordingStation:
     """A station whose acts are recorded. Raises ReorientError where the folder holds a record already."""
 
-    def __init__(self, station: Station, folder: str | Path, goal: DepthImage, about: dict[str, Any]) -> None:
+    def __init__(self, station: Station, folder: str | Path, goal: DepthImage | Goal, about: dict[str, Any]) -> None:
         """``about``: further entries of the record, as JSON (the estimator, the strategy)."""
         self._station = station
         pivot_m = pivot_of(station)
         self._folder = make_folder(folder)
         if (self._folder / "record.json").exists():
             raise ReorientError(f"{str(folder)!r} holds a record: expected a new folder")
-        write_depth(self._folder / "goal.npz", goal)
+        write_goal(self._folder / "goal.npz", as_goal(goal))
         self._record: dict[str, Any] = {
             **about,
             "pivot_m": None if pivot_m is None else np.asarray(pivot_m, float).tolist(),
@@ -43,6 +46,8 @@ class RecordingStation:
         if hasattr(station, "reachable"):
             self._record["reachable"] = []
             self.reachable = self._reachable
+        if hasattr(station, "move"):
+            self.move = self._move
         self._write()
 
     @property
@@ -64,16 +69,29 @@ class RecordingStation:
         return image
 
     def rotate(self, R_step: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-        """The station's move."""
-        asked = np.asarray(R_step, float).tolist()
-        self._begin({"rotate": asked, "executed": None})
+        """The station's rotation."""
+        done: np.ndarray = self._moved("rotate", R_step)
+        return done
+
+    def _move(self, T_step: Transform) -> Transform:
+        """The station's translation."""
+        done: np.ndarray = self._moved("move", T_step)
+        return done
+
+    def _moved(self, kind: str, step: np.ndarray) -> Any:
+        asked = np.asarray(step, float).tolist()
+        self._begin({kind: asked, "executed": None})
+        ended: dict[str, Any] = {kind: asked, "executed": None}
         try:
-            done = self._station.rotate(R_step)
+            done = getattr(self._station, kind)(step)
+            ended["executed"] = _as_list(done)
+            if kind == "move":
+                ended["pivot_m"] = _as_list(self.pivot_m)
         except BaseException as error:
-            message = f"{type(error).__name__}: {error}"
-            self._note({"rotate": asked, "executed": None, "error": message, "clock_s": clock_of(self._station)})
+            ended["error"] = f"{type(error).__name__}: {error}"
             raise
-        self._note({"rotate": asked, "executed": _as_list(done), "clock_s": clock_of(self._station)})
+        finally:
+            self._note(ended | {"clock_s": clock_of(self._station)})
         return done
 
     def _reachable(self, R_step: Float[np.ndarray, "3 3"]) -> bool:
@@ -144,9 +162,9 @@ class ReplayedStation:
         """The station's."""
         return self._pivot_m
 
-    def goal(self) -> DepthImage:
-        """The goal image of the record."""
-        return read_depth(self.file("goal.npz"))
+    def goal(self) -> Goal:
+        """The goal of the record, with all its views."""
+        return read_goal(self.file("goal.npz"))
 
     def file(self, name: str) -> Path:
         """A file of the record. Raises ReorientError for one outside its folder, by a link, too."""
@@ -166,6 +184,12 @@ class ReplayedStation:
         """The recorded rotation, if this is the recorded move."""
         return np.array(self._act("rotate", R_step)["executed"], float)
 
+    def move(self, T_step: Transform) -> Transform:
+        """The recorded translation, if this is the recorded move."""
+        act = self._act("move", T_step)
+        self._pivot_m = None if act["pivot_m"] is None else np.array(act["pivot_m"], float)
+        return np.array(act["executed"], float)
+
     def _reachable(self, R_step: Float[np.ndarray, "3 3"]) -> bool:
         """The recorded answer for this rotation before the next act. Raises StationError where there is none."""
         asked = [
@@ -182,21 +206,16 @@ class ReplayedStation:
         """The station's clock after the last move; minus infinity where it had none."""
         return self._clock_s
 
-    def _act(self, kind: str, R_step: Float[np.ndarray, "3 3"] | None = None) -> dict[str, Any]:
+    def _act(self, kind: str, step: np.ndarray | None = None) -> dict[str, Any]:
         if self._next >= len(self._acts):
             raise StationError("the record ends here")
         act: dict[str, Any] = self._acts[self._next]
         if kind not in act:
             raise StationError(f"the loop leaves the record at act {self._next}: {kind} requested")
-        if R_step is not None:
-            away_rad = float(so3.angle_difference(np.array(act["rotate"], float), np.asarray(R_step, float)))
-            if away_rad > SAME_RAD:
-                raise StationError(
-                    f"the loop leaves the record at act {self._next}: a move {np.degrees(away_rad):.1f} deg off the "
-                    "recorded one"
-                )
+        if step is not None and (away := _difference(np.array(act[kind], float), np.asarray(step, float))):
+            raise StationError(f"the loop leaves the record at act {self._next}: a move {away} off the recorded one")
         self._next += 1
-        if kind == "rotate":
+        if step is not None:
             self._clock_s = -np.inf if act.get("clock_s") is None else float(act["clock_s"])
         if act.get("error"):
             raise StationError(f"recorded error: {act['error']}")
@@ -209,9 +228,21 @@ def _checked(act: Any) -> dict[str, Any]:
     if "rotate" in act:
         _rotation(act["rotate"])
         np.array(act["executed"], float)
+    elif "move" in act:
+        moved(act["move"])
+        np.array(act["executed"], float)
     elif not act.get("error") and not isinstance(act["capture"], str):
         raise ValueError(f"a capture of {act['capture']!r}")
     return dict(act)
+
+
+def _difference(recorded: np.ndarray, step: np.ndarray) -> str:
+    """How far a move is from the recorded one, in words; empty within the tolerance."""
+    away_rad = float(so3.angle_difference(recorded[:3, :3], step[:3, :3]))
+    away_m = float(np.linalg.norm(recorded[:3, 3:] - step[:3, 3:]))  # 0 for rotations
+    if away_rad <= SAME_RAD and away_m <= SAME_M:
+        return ""
+    return f"{np.degrees(away_rad):.1f} deg" + (f" and {1000 * away_m:.1f} mm" if step.shape == (4, 4) else "")
 
 
 def _rotation(R: Any) -> Float[np.ndarray, "3 3"]:

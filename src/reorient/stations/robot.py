@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from reorient import so3
-from reorient.controller.station import missing_members
+from reorient import se3, so3
+from reorient.controller.station import missing_members, rigid
 from reorient.errors import ReorientError, StationError
 from reorient.imaging import DepthImage, Isolation
 from reorient.perception.robot_calibration import RobotCalibration
@@ -87,6 +87,29 @@ class RobotStation:
         R_base = after[:3, :3] @ (before if self._pose is None else self._pose)[:3, :3].T
         R_base_camera = self.calibration.T_base_camera[:3, :3]
         return np.asarray(R_base_camera.T @ R_base @ R_base_camera)
+
+    def move(self, T_step: Transform) -> Transform:
+        """Move the object in a straight line (camera axes, left); the motion since the last frame, by the arm.
+
+        Raises StationError where T_step is no rigid transform, rotates by more than one step of ``rotate``, is not
+        reachable, and where the arm failed.
+        """
+        T = rigid(T_step)
+        limit_deg = self.arm.limits.max_step_deg
+        if np.degrees(so3.angle(T[:3, :3])) > limit_deg:
+            raise StationError(
+                f"refused to move: expected a rotation of at most {limit_deg:g} deg, else rotate() first"
+            )
+        T_base_camera, before = self.calibration.T_base_camera, self.arm.pose()
+        target = T_base_camera @ T @ se3.inverse(T_base_camera) @ before
+        if not self.arm.reachable(target):
+            raise StationError("refused to move: the end is outside the workspace box or out of reach")
+        try:
+            after = self.arm.move_to(target)
+        finally:
+            self._frames.moved()
+        T_base = after @ se3.inverse(before if self._pose is None else self._pose)
+        return np.asarray(se3.inverse(T_base_camera) @ T_base @ T_base_camera)
 
     def reachable(self, R_step: Float[np.ndarray, "3 3"]) -> bool:
         """Whether all poses of a rotation are within the limits and, as far as the arm's driver knows, within reach."""

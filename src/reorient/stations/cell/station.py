@@ -7,6 +7,7 @@ from jaxtyping import Float
 from numpy.random import Generator
 
 from reorient import se3, so3
+from reorient.controller.station import rigid
 from reorient.errors import ReorientError, StationError, unknown_name
 from reorient.imaging import DepthImage
 from reorient.perception.calibration import Calibration, MountedCamera
@@ -58,6 +59,7 @@ class SimulatedCell:
         self.config = config = config or CellConfig()
         self.plant = Plant(config.plant, rng)
         self.arm = self.plant.arm
+        self._tool_m = np.array(self.plant.tool_m)  # where rotations leave the tool centre
         self.calibration = config.calibration or Calibration(
             *(_perturbed(camera, config, rng) for camera in (self.plant.depth, self.plant.color))
         )
@@ -90,6 +92,20 @@ class SimulatedCell:
         R_world = self.arm.tcp(self.plant.read())[:3, :3] @ self.arm.tcp(before_rad)[:3, :3].T
         return np.asarray(self._R_world_camera.T @ R_world @ self._R_world_camera)
 
+    def move(self, T_step: se3.Transform) -> se3.Transform:
+        """Move the gripper (camera axes, left). Returns the motion measured by the encoders, camera axes.
+
+        Raises StationError out of reach.
+        """
+        T_camera = self.calibration.depth.T_camera_world
+        before_rad = self.plant.read()
+        before = self.arm.tcp(before_rad)
+        target = se3.inverse(T_camera) @ rigid(T_step) @ T_camera @ before
+        self.plant.move(self.arm.solve(target, before_rad, self.plant.fingers_m))
+        self._tool_m = target[:3, 3]
+        T_world = self.arm.tcp(self.plant.read()) @ se3.inverse(before)
+        return np.asarray(T_camera @ T_world @ se3.inverse(T_camera))
+
     def clock_s(self) -> float:
         """The simulated time, the clock of the stamps."""
         return self.plant.time_s
@@ -108,7 +124,7 @@ class SimulatedCell:
             raise StationError("refused to rotate: expected a (3, 3) rotation matrix")
         now_rad = self.plant.read()
         R_step_world = self._R_world_camera @ R_step @ self._R_world_camera.T
-        target = rotated_pose(self.arm.tcp(now_rad), R_step_world, self.plant.tool_m)
+        target = rotated_pose(self.arm.tcp(now_rad), R_step_world, self._tool_m)
         return self.arm.solve(target, now_rad, self.plant.fingers_m)
 
     def frame(self, colour: bool) -> Frame:
