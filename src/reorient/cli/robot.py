@@ -12,13 +12,17 @@ from reorient import __version__
 from reorient.cli.arguments import Positional
 from reorient.cli.estimating import confidence_in_words
 from reorient.cli.isolating import GoalFrame
+from reorient.cli.outputs import LoopOutputs
 from reorient.cli.stations import StationChoice
+from reorient.cli.viewing import ViewOptions, base_in_camera
 from reorient.errors import ReorientError, check_range
-from reorient.runs.files import make_folder
 
 if TYPE_CHECKING:
     from reorient.controller import Limits, OrientResult, Step, Strategy
+    from reorient.estimators.base import Estimator
+    from reorient.imaging import DepthImage
     from reorient.stations.replay import ReplayedStation
+    from reorient.viewing.viewer import Viewer
 
 EXIT_CODES = {"converged": 0, "dry_run": 0, "interrupted": 130}  # of the other statuses: 1
 OWN_STEP_DEG, OWN_ROTATION_DEG = 45.0, 720.0  # limits for a station of the user's own
@@ -139,8 +143,10 @@ class Orient:
     limit_choice: LimitChoice = field(default_factory=LimitChoice)
     record: Path | None = None
     """New folder for a recording of all images and moves, which ``reorient replay`` reads."""
-    out: Path | None = None
-    """Folder for a page and a GIF of the run."""
+    outputs: LoopOutputs = field(default_factory=LoopOutputs)
+    view: bool = False
+    """Show the running loop in 3D in a browser. Closing the browser changes nothing."""
+    view_options: ViewOptions = field(default_factory=ViewOptions)
 
     def run(self) -> int:
         """Close the loop; the exit code."""
@@ -153,8 +159,7 @@ class Orient:
         strategy, limits = self.strategy_choice.load(), chosen.limits()
         self.choice.check()
         goal, estimator = self.frames.read(self.goal, goal=True).isolated, load_estimator(self.estimator)
-        if self.out is not None:
-            make_folder(self.out)
+        self.outputs.check()
         station = self.choice.open()
         if self.isolate_station:
             station = IsolatedStation(station, self.frames.isolation())
@@ -171,7 +176,9 @@ class Orient:
             station = RecordingStation(station, self.record, goal, about)
             if weights:
                 shutil.copy(weights, self.record)
-        return _close_loop(station, goal, estimator, strategy, limits, self.out, f"Station {self.choice.station}")
+        title = f"Station {self.choice.station}"
+        viewer = self.view_options.open(goal, title, base_in_camera(station)) if self.view else None
+        return _close_loop(station, goal, estimator, strategy, limits, self.outputs, title, viewer)
 
 
 @dataclass(frozen=True)
@@ -190,11 +197,22 @@ class Replay:
     """Folder that ``reorient orient --record`` wrote."""
     estimator: str | None = None
     """Estimator in place of the recorded one, as for ``orient``."""
-    out: Path | None = None
-    """Folder for a page and a GIF of the run."""
+    outputs: LoopOutputs = field(default_factory=LoopOutputs)
 
     def run(self) -> int:
         """Close the loop on the recording; the exit code, as of ``orient``."""
+        self.outputs.check()
+        return _close_loop(*self.loop(), self.outputs, f"Record {self.record.name}")
+
+    def result(self) -> "tuple[DepthImage, OrientResult]":
+        """The goal and the loop, run in silence."""
+        from reorient.controller import orient
+
+        station, goal, estimator, strategy, limits = self.loop()
+        return goal, orient(station, goal, estimator, strategy, limits=limits)
+
+    def loop(self) -> "tuple[ReplayedStation, DepthImage, Estimator, Strategy | None, Limits]":
+        """The station, the goal, the estimator, the strategy and the limits of the record."""
         from reorient.estimators import load_estimator
         from reorient.stations.replay import ReplayedStation
 
@@ -207,10 +225,7 @@ class Replay:
             raise ReorientError(
                 f"{str(self.record)!r} lacks valid settings ({error}): expected a folder of `reorient orient --record`"
             ) from error
-        estimator = load_estimator(estimator_name)
-        if self.out is not None:
-            make_folder(self.out)
-        return _close_loop(station, station.goal(), estimator, strategy, limits, self.out, f"Record {self.record.name}")
+        return station, station.goal(), load_estimator(estimator_name), strategy, limits
 
     def _recorded_estimator(self, station: "ReplayedStation") -> str:
         """The estimator that the record names: of the package, or weights within the record."""
@@ -268,18 +283,26 @@ class _Printer:
 
 
 def _close_loop(
-    station: Any, goal: Any, estimator: Any, strategy: "Strategy | None", limits: "Limits", out: Path | None, title: str
+    station: Any,
+    goal: Any,
+    estimator: Any,
+    strategy: "Strategy | None",
+    limits: "Limits",
+    outputs: LoopOutputs,
+    title: str,
+    viewer: "Viewer | None" = None,
 ) -> int:
-    """Run the loop, print its decisions and its outcome, write its page; the exit code."""
+    """Run the loop, print its decisions and its outcome, write what is asked for; the exit code."""
     from reorient.controller import orient
-    from reorient.reporting import write_loop
     from reorient.stations.replay import RecordingStation
 
-    result = orient(station, goal, estimator, strategy, limits=limits, subscribers=[_Printer()])
+    subscribers: list[Any] = [_Printer(), *([] if viewer is None else [viewer])]
+    result = orient(station, goal, estimator, strategy, limits=limits, subscribers=subscribers)
     if isinstance(station, RecordingStation):
         station.finish(result)
     code = print_outcome(result)
-    if out is not None and result.steps:
-        for path in write_loop(out, goal, result, [], title):
-            print(path)
+    outputs.write(goal, result, [], title)
+    if viewer is not None:
+        viewer.wait()
+        viewer.close()
     return code

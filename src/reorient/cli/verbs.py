@@ -45,6 +45,7 @@ GROUPS = {
         "capture": Verb("stations:Capture", "Capture the goal image at a station."),
         "orient": Verb("robot:Orient", "Rotate the object at a station until it matches the goal image."),
         "replay": Verb("robot:Replay", "Run a recorded loop again, without its station."),
+        "view": Verb("viewing:View", "Show a record, or a live station, in 3D in a browser."),
     },
     "measure": {
         "evaluate": Verb(
