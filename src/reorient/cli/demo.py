@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from reorient.cli.robot import print_outcome
+from reorient.cli.outputs import print_outcome
 from reorient.cli.stations import StationChoice, rotate_away
 from reorient.errors import check_range
 from reorient.formatting import FigureFormat

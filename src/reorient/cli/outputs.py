@@ -1,16 +1,20 @@
 """What a verb that runs a loop writes about it."""
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from reorient.cli.estimating import confidence_in_words
 from reorient.formatting import FigureFormat
 from reorient.runs.files import make_folder
 
 if TYPE_CHECKING:
     from reorient.controller import OrientResult
     from reorient.imaging import DepthImage
+
+EXIT_CODES = {"converged": 0, "dry_run": 0, "interrupted": 130}  # of the other statuses: 1
 
 
 @dataclass(frozen=True)
@@ -45,3 +49,18 @@ class LoopOutputs:
             from reorient.viewing.mcap_file import write_mcap
 
             print(write_mcap(self.mcap, goal, result))
+
+
+def print_outcome(result: "OrientResult") -> int:
+    """Print how a loop ended; the exit code."""
+    code = EXIT_CODES.get(result.status, 1)
+    for error in result.errors:
+        print(f"error during the loop: {error}")
+    moves = f"{result.moves} move" + "s" * (result.moves != 1)
+    if result.converged:
+        print(f"converged after {moves}, confidence {confidence_in_words(result.confidence)}")
+    elif code:
+        print(f"reorient: not converged after {moves} ({result.status}): {result.reason}", file=sys.stderr)
+    else:
+        print(result.reason)
+    return code

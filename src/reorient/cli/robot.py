@@ -10,9 +10,8 @@ import numpy as np
 
 from reorient import __version__
 from reorient.cli.arguments import Positional
-from reorient.cli.estimating import confidence_in_words
 from reorient.cli.isolating import GoalFrame
-from reorient.cli.outputs import LoopOutputs
+from reorient.cli.outputs import LoopOutputs, print_outcome
 from reorient.cli.stations import StationChoice
 from reorient.cli.viewing import ViewOptions, base_in_camera
 from reorient.errors import ReorientError, check_range
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
     from reorient.stations.replay import ReplayedStation
     from reorient.viewing.viewer import Viewer
 
-EXIT_CODES = {"converged": 0, "dry_run": 0, "interrupted": 130}  # of the other statuses: 1
 OWN_STEP_DEG, OWN_ROTATION_DEG = 45.0, 720.0  # limits for a station of the user's own
 _OWNERS = {"eta": ("algorithm1",), "delta_deg": ("algorithm1", "direct")}  # options that not every strategy has
 
@@ -238,21 +236,6 @@ class Replay:
                 f"{name} to use that class"
             )
         return name
-
-
-def print_outcome(result: "OrientResult") -> int:
-    """Print how a loop ended; the exit code."""
-    code = EXIT_CODES.get(result.status, 1)
-    for error in result.errors:
-        print(f"error during the loop: {error}")
-    moves = f"{result.moves} move" + "s" * (result.moves != 1)
-    if result.converged:
-        print(f"converged after {moves}, confidence {confidence_in_words(result.confidence)}")
-    elif code:
-        print(f"reorient: not converged after {moves} ({result.status}): {result.reason}", file=sys.stderr)
-    else:
-        print(result.reason)
-    return code
 
 
 def _confirmed(R_step: np.ndarray) -> bool:

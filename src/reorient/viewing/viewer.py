@@ -6,7 +6,9 @@ waits for nothing that a browser does. All browsers show the same.
 
 import queue
 import threading
+from contextlib import redirect_stdout
 from dataclasses import dataclass
+from io import StringIO
 from typing import Any
 
 import numpy as np
@@ -53,7 +55,9 @@ class Viewer:
 
         Raises ReorientError where the extra ``view`` is not installed.
         """
-        self.server: Any = import_extra("viser", "view").ViserServer(host, port, label=title, verbose=False)
+        viser = import_extra("viser", "view")
+        with redirect_stdout(StringIO()):  # it prints its address whatever ``verbose`` is
+            self.server: Any = viser.ViserServer(host, port, label=title, verbose=False)
         self._lock = threading.RLock()
         self._steps: list[_Shown] = []
         self._inbox: queue.SimpleQueue[Step | None] = queue.SimpleQueue()
@@ -65,7 +69,7 @@ class Viewer:
 
     @property
     def address(self) -> str:
-        """Where a browser finds the view."""
+        """Of the view, for a browser."""
         return f"http://{self.server.get_host()}:{self.server.get_port()}"
 
     def decided(self, step: Step) -> None:
@@ -100,10 +104,13 @@ class Viewer:
         """End the view."""
         self._inbox.put(None)
         self._worker.join()
-        self.server.stop()
+        with redirect_stdout(StringIO()):
+            self.server.stop()
 
     def _gui(self) -> None:
         gui = self.server.gui
+        # no share button: it would open the view to the internet
+        gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, control_width="large")
         self._idle, self._busy = threading.Event(), False
         self._status = gui.add_markdown("")
         self._scrub = gui.add_slider("step", min=0, max=1, step=1, initial_value=0, disabled=True)
@@ -118,7 +125,7 @@ class Viewer:
             self._goal_picture = gui.add_image(empty, label="goal")
         with gui.add_folder("Show", expand_by_default=False):
             self._boxes = {
-                name: gui.add_checkbox(name, initial_value=True)
+                name: gui.add_checkbox(name, initial_value=name != "camera")
                 for name in ("goal", "current", "axis", "alternatives", "camera", "belief")
             }
         self._scrub.on_update(lambda _: self._scrubbed())
@@ -169,12 +176,14 @@ class Viewer:
         camera.position, camera.look_at = tuple(eye), tuple(self._middle_m)
         self._goal_picture.image = picture(self.goal)
         lens = self.goal.camera
-        scene.add_camera_frustum(
+        self._frustum = scene.add_camera_frustum(
             "/camera",
             fov=2 * float(np.arctan(lens.height / 2 / lens.fy)),
             aspect=lens.width / lens.height,
             scale=0.15 * float(self._middle_m[2]),
             color=GOAL,
+            line_width=1.0,
+            visible=False,
         )
         if self._T_camera_base is not None:
             R, t_m = self._T_camera_base[:3, :3], self._T_camera_base[:3, 3]
@@ -219,7 +228,7 @@ class Viewer:
             self._here_m = shown.image.points().mean(axis=0)
             self._ghosts(shown, chosen)
             self._lines(shown.step)
-            self.server.scene.add_frame("/camera axes", axes_length=0.1, visible=self._boxes["camera"].value)
+            self._frustum.visible = self._boxes["camera"].value
             self._read.content = self._words(evidence)
             self._move()
 
