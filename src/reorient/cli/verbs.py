@@ -44,6 +44,10 @@ GROUPS = {
         "demo": Verb("demo:Demo", "Rotate a simulated object to a goal, and write a GIF and a page of the run."),
         "capture": Verb("stations:Capture", "Capture the goal image at a station."),
         "orient": Verb("robot:Orient", "Rotate the object at a station until it matches the goal image."),
+        "guide": Verb(
+            "guiding:Guide",
+            "Guide a person who rotates the object by hand until it matches the goal image.",
+        ),
         "replay": Verb("robot:Replay", "Run a recorded loop again, without its station."),
         "view": Verb("viewing:View", "Show a record, or a live station, in 3D in a browser."),
     },

@@ -18,8 +18,9 @@ from reorient.estimators.equivalents import smallest_equivalent
 from reorient.estimators.polish import polish, uncertainty
 from reorient.estimators.search import EFFORTS, Found, search
 from reorient.estimators.static_part import find_static_part
+from reorient.estimators.tracking import track
 from reorient.estimators.verifier import Verifier, features, load_verifier
-from reorient.imaging import DepthImage
+from reorient.imaging import DepthImage, Goal
 from reorient.registration import Problem, build_problem, non_maximum_suppression
 from reorient.runs.pool import Pool
 
@@ -52,6 +53,10 @@ class RotationSearch:
         problem = build_problem(current, goal, pivot_m, checked_history(history))
         verified = self._without_wrong_pivot(self._verified(problem))
         return polished(self._without_static_part(verified))
+
+    def track(self, current: DepthImage, goal: DepthImage | Goal, previous: RotationEstimate) -> RotationEstimate:
+        """The motion near ``previous``, an estimate of a moment ago: see ``reorient.estimators.tracking.track``."""
+        return track(current, goal, previous)
 
     def _verified(self, problem: Problem, more: Found | None = None) -> "Verified":
         """The hypotheses of a search, and more of them, verified."""

@@ -1,0 +1,246 @@
+"""Tracking: the rotation to the goal, image after image, by local refinement from the estimate of a moment ago.
+
+Each image is compared with the goal, never with the image before, so errors do not add up. Of several goal views the
+one that is nearest to the previous estimate is used. The confidence is a logistic function of the verifier's features
+of the one tracked hypothesis; ``benchmarks/tracking_confidence.py`` fits it. ``Tracker`` begins by an estimate without
+an initial guess, and does so again where the object is lost.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from jaxtyping import Float
+
+from reorient import so3
+from reorient.errors import ReorientError
+from reorient.estimators.base import Estimator, RotationEstimate, check_pair, with_evidence
+from reorient.estimators.verifier import FEATURES, features
+from reorient.imaging import DepthImage, Goal
+from reorient.imaging.goal import as_goal
+from reorient.registration import DepthView, Hypotheses, Observation, Problem, measure_evidence, pivot_prior, refine
+
+CONFIDENCE = Path(__file__).with_name("tracking.json")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tracking:
+    """Settings; lengths relative to the object diameter. What chose them: docs/tuning.md, "Tracking"."""
+
+    rotation_rad: float = 0.07
+    """The first guess is also rotated by this much, either way about each camera axis."""
+    coarse: tuple[float, ...] = (0.05, 0.04, 0.03, 0.02)
+    """Tolerances of the Gauss-Newton steps from all guesses, with the silhouettes."""
+    coarse_points: int = 300
+    """Of each image."""
+    scored_tolerance: float = 0.015
+    """Depth difference of an inlier, for the choice of the best guess."""
+    scored_points: int = 500
+    """Of each image."""
+    fine: tuple[float, ...] = (0.015, 0.012, 0.01, 0.008, 0.006)
+    """Tolerances of the steps from the best, without silhouettes, which noise and lost returns displace."""
+    fine_points: int = 2000
+    """Of each image."""
+    inlier_tolerance: float = 0.012
+    """Depth difference of the inliers that measure the noise."""
+    noise_factor: float = 4.0
+    """The fine tolerances are at least this many residuals of the inliers."""
+
+
+TRACKING = Tracking()
+LOST_BELOW = 0.5  # confidence
+LOST_AFTER = 2  # images in a row with less: one alone is often a false alarm
+AGREES_RAD = float(np.radians(5))  # between a tracked rotation and the estimate that confirms it
+RETRY_IMAGES = 15  # while lost, the whole search is repeated after so many images; the local one at each
+
+
+@dataclass(frozen=True, eq=False)
+class _GoalView:
+    """A view of the goal in its place: p_goal = R p_view + t."""
+
+    view: DepthView
+    R_goal_view: Float[np.ndarray, "3 3"]
+    t_goal_view_m: Float[np.ndarray, "3"]
+
+
+_GOAL_VIEWS: WeakKeyDictionary[DepthImage | Goal, tuple[_GoalView, ...]] = WeakKeyDictionary()
+_PLACING = (0.08, 0.06, 0.04, 0.03, 0.02, 0.015, 0.01)  # tolerances of the steps that put a goal view in place
+
+
+def track(current: DepthImage, goal: DepthImage | Goal, previous: RotationEstimate) -> RotationEstimate:
+    """The motion from current to goal, near that of ``previous``, an estimate of a moment ago; 10 ms at 128 px.
+
+    About 10 degrees and 5% of the object diameter may lie between the two. What is computed of a goal is kept as long
+    as the goal is. The confidence falls where the object is lost, hidden or another one. A free axis of ``previous``
+    stays: the smallest of the equivalent rotations is tracked. Raises ReorientError for images that cannot be compared.
+    """
+    check_pair(current, as_goal(goal).image)
+    R = previous.R_goal_current
+    views = _goal_views(goal)
+    target = views[int(np.argmin([so3.angle_difference(x.R_goal_view, R) for x in views]))]
+    problem = problem_of(DepthView(current), target.view)
+    R_view_goal = target.R_goal_view.T
+    t_m = R_view_goal @ (previous.t_goal_current_m - target.t_goal_view_m)
+    found = fit(problem, Hypotheses((R_view_goal @ R)[None], t_m[None]))
+    if previous.free_axis is not None:
+        untwist = R_view_goal @ twist(target.R_goal_view @ found.R[0], previous.free_axis).T @ target.R_goal_view
+        found = found.perturbed(problem.prior.goal_m, untwist[None], np.zeros((1, 3)))
+    tracked = with_evidence(
+        problem.current, problem.goal, found.R[0], found.t_m[0], confidence=confidence(problem, found)
+    )
+    return replace(
+        tracked,
+        R_goal_current=target.R_goal_view @ tracked.R_goal_current,
+        t_goal_current_m=target.R_goal_view @ tracked.t_goal_current_m + target.t_goal_view_m,
+        free_axis=previous.free_axis,
+    )
+
+
+def fit(problem: Problem, start: Hypotheses) -> Hypotheses:
+    """The motion near the start that fits best."""
+    s = TRACKING
+    away = s.rotation_rad * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
+    guesses = start[np.zeros(len(away), int)].perturbed(problem.prior.goal_m, so3.exp(away), np.zeros((len(away), 3)))
+    guesses = refine(problem, guesses, s.coarse, s.coarse_points)
+    best = guesses[np.array([np.argmax(problem.score(guesses, s.scored_tolerance, s.scored_points))])]
+    inliers = measure_evidence(
+        problem.current, problem.goal, best.R[0], best.t_m[0], s.inlier_tolerance * problem.diameter_m
+    )
+    noise = float(np.nan_to_num(inliers.residual_m)) / problem.diameter_m
+    tolerances = [max(x, s.noise_factor * noise) for x in s.fine]
+    return refine(problem.without_silhouettes, best, tolerances, s.fine_points)
+
+
+def twist(R: Float[np.ndarray, "3 3"], axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """The rotation about a unit axis whose inverse, applied after R, leaves the smallest angle."""
+    w, *v = so3.quat_from_matrix(R)
+    along = np.array([w, *(np.dot(v, axis) * axis)])
+    return np.eye(3) if not along.any() else so3.matrix_from_quat(so3.normalize(along))
+
+
+def confidence(problem: Problem, hypothesis: Hypotheses) -> float:
+    """Probability that the error of a tracked hypothesis is below 5 degrees."""
+    return float(1 / (1 + np.exp(-log_odds(features(problem, hypothesis)[0]))))
+
+
+def log_odds(values: Float[np.ndarray, " f"]) -> float:
+    """Of the verifier's features of the tracked hypothesis, that the error is below 5 degrees."""
+    weights, bias = _logistic()
+    return float(values @ weights + bias)
+
+
+@cache
+def _logistic() -> tuple[Float[np.ndarray, " f"], float]:
+    """A weight for each of the verifier's features, and the bias."""
+    data: Mapping[str, float] = json.loads(CONFIDENCE.read_text())
+    return np.array([data.get(name, 0.0) for name in FEATURES]), data["bias"]
+
+
+def problem_of(now: DepthView, target: DepthView) -> Problem:
+    """The problem of two views, without a pivot."""
+    return Problem((Observation(now, np.eye(3), np.zeros(3)),), target, pivot_prior(now, target, None))
+
+
+def _goal_views(goal: DepthImage | Goal) -> tuple[_GoalView, ...]:
+    """The views of a goal, the primary one first; one of unknown translation is put in place by a registration."""
+    if goal not in _GOAL_VIEWS:
+        whole = as_goal(goal)
+        primary = DepthView(whole.image)
+        placed = [_GoalView(primary, np.eye(3), np.zeros(3))]
+        for each in whole.views:
+            view, t_m = DepthView(each.image), each.t_goal_view_m
+            if t_m is None:
+                problem = problem_of(view, primary)
+                start = problem.start(each.R_goal_view[None])
+                t_m = refine(problem, start, _PLACING, TRACKING.coarse_points, rotate=False).t_m[0]
+            placed.append(_GoalView(view, each.R_goal_view, t_m))
+        _GOAL_VIEWS[goal] = tuple(placed)
+    return _GOAL_VIEWS[goal]
+
+
+class Tracker:
+    """Tracks the rotation to one goal: local refinement, and an estimate without initial guess where that fails.
+
+    The object is lost at first, and after two images in a row with a confidence below 0.5.
+    """
+
+    def __init__(self, estimator: Estimator, goal: DepthImage | Goal) -> None:
+        """``estimator``: finds the rotation at first and where it is lost. Raises ReorientError for an unfit goal."""
+        image = as_goal(goal).image
+        check_pair(image, image)
+        self.estimator, self.goal = estimator, goal
+        self._track = getattr(estimator, "track", track)
+        self._found: RotationEstimate | None = None  # the latest one of sufficient confidence
+        self._doubtful = LOST_AFTER
+        self._wait = 0
+
+    @property
+    def lost(self) -> bool:
+        """Whether the rotation is unknown."""
+        return self._doubtful >= LOST_AFTER
+
+    @property
+    def searches_next(self) -> bool:
+        """Whether the next update is likely to take as long as an estimate without initial guess."""
+        return self.lost and self._wait <= 0
+
+    def update(self, image: DepthImage) -> RotationEstimate | None:
+        """The estimate of the next image; None while the object is lost.
+
+        Takes as long as ``estimate`` at first, and at every 15th image while the object is lost; else as ``track``.
+        """
+        tracked = self._tracked(image)
+        if tracked is not None and _is_sure(tracked):
+            return self.restart(tracked)
+        self._doubtful += 1
+        if not self.lost:
+            return tracked
+        self._wait -= 1
+        if self._wait >= 0:
+            return None
+        self._wait = RETRY_IMAGES
+        return self._searched(image)
+
+    def confirm(self, image: DepthImage) -> RotationEstimate | None:
+        """An estimate of the latest image without initial guess; None unless it is sure and agrees with the tracked.
+
+        Where it is sure and does not agree, tracking goes on from it.
+        """
+        tracked = self._found
+        estimate = self._searched(image)
+        if tracked is None or estimate is None:
+            return None
+        away_rad = so3.angle_difference(estimate.R_goal_current, tracked.R_goal_current)
+        return estimate if away_rad < AGREES_RAD else None
+
+    def restart(self, estimate: RotationEstimate) -> RotationEstimate:
+        """Track on from this estimate, which is returned."""
+        self._found, self._doubtful, self._wait = estimate, 0, 0
+        return estimate
+
+    def _tracked(self, image: DepthImage) -> RotationEstimate | None:
+        """The local refinement; None where there is nothing to refine, or nothing to see."""
+        if self._found is None:
+            return None
+        try:
+            tracked: RotationEstimate = self._track(image, self.goal, self._found)
+        except ReorientError:  # the goal was checked: it is the image that shows too little
+            return None
+        return tracked
+
+    def _searched(self, image: DepthImage) -> RotationEstimate | None:
+        """The estimate without initial guess; None where it is not sure, or the image shows too little."""
+        try:
+            estimate = self.estimator.estimate(image, self.goal)
+        except ReorientError:
+            return None
+        return self.restart(estimate) if _is_sure(estimate) else None
+
+
+def _is_sure(estimate: RotationEstimate) -> bool:
+    """Whether the rotation counts as known; an estimator without confidence is trusted until ``track`` doubts it."""
+    return estimate.confidence is None or estimate.confidence >= LOST_BELOW
