@@ -2,6 +2,7 @@
 
 import sys
 import time
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
     from reorient.controller import OrientResult
     from reorient.imaging import DepthImage
     from reorient.se3 import Transform
+    from reorient.viewing.guide_view import GuideView
     from reorient.viewing.viewer import Viewer
 
 
@@ -35,17 +37,31 @@ class ViewOptions:
 
     def open(self, goal: "DepthImage", title: str, T_camera_base: "Transform | None" = None) -> "Viewer":
         """The view of a goal; prints its address. Raises ReorientError where the extra is not installed."""
-        from reorient.viewing.viewer import LOOPBACK, Viewer
+        from reorient.viewing.viewer import Viewer
 
         viewer = Viewer(goal, title, self.host, self.port, T_camera_base)
+        self._announce(viewer.address)
+        return viewer
+
+    def guide(self, goal: "DepthImage", title: str, tolerance_deg: float) -> "GuideView":
+        """The view of a guide; prints its address. Raises ReorientError where the extra is not installed."""
+        from reorient.viewing.guide_view import GuideView
+
+        view = GuideView(goal, title, tolerance_deg, self.host, self.port)
+        self._announce(view.address)
+        return view
+
+    def _announce(self, address: str) -> None:
+        """Print the address, and a warning where others than this computer reach it."""
+        from reorient.viewing.showing import LOOPBACK
+
         if self.host not in LOOPBACK:
             print(
                 f"reorient: warning: the view listens at {self.host}: whoever reaches this address sees it and can use "
                 "its buttons; there is no password",
                 file=sys.stderr,
             )
-        print(f"view: {viewer.address}", flush=True)
-        return viewer
+        print(f"view: {address}", flush=True)
 
 
 @dataclass(frozen=True)
@@ -74,22 +90,24 @@ class View:
         """Serve the view until the keyboard interrupts."""
         if (self.record is None) == (self.station is None):
             raise ReorientError("view of nothing or of two things: expected a record, or --station robot.toml")
-        if self.record is not None:
-            viewer = self._recorded(self.record)
-        else:
-            assert self.station is not None
-            from reorient.viewing.live import LiveStation
-
-            live = LiveStation(self.station, self.goal, self.estimator or "rotation-search")
-            viewer = self.view.open(live.first_goal(), str(self.station), live.T_camera_base)
-            live.attach(viewer)
-        try:
+        with ExitStack() as opened, suppress(KeyboardInterrupt):
+            if self.record is not None:
+                opened.callback(self._recorded(self.record).close)
+            elif self.station is not None:
+                self._live(self.station, opened)
             while True:
                 time.sleep(0.5)
-        except KeyboardInterrupt:
-            return 0
-        finally:
-            viewer.close()
+        return 0
+
+    def _live(self, station: Path, opened: ExitStack) -> None:
+        """The view of a cell."""
+        from reorient.viewing.live import LiveStation
+
+        live = LiveStation(station, self.goal, self.estimator or "rotation-search")
+        viewer = self.view.open(live.first_goal(), str(station), live.T_camera_base)
+        opened.callback(viewer.close)
+        live.attach(viewer)
+        opened.callback(live.close)
 
     def _recorded(self, record: Path) -> "Viewer":
         """The view of all steps of a record."""

@@ -1,7 +1,6 @@
 """A live cell in the view: the camera, the isolation of the object, and the robot by buttons, each move asked for."""
 
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -65,7 +64,7 @@ class LiveStation:
         self.T_camera_base = None
         if self._file.calibration.is_file():
             self.T_camera_base = se3.inverse(self._file.read_calibration().T_base_camera)
-        self._answer, self._stopped = threading.Event(), False
+        self._answer, self._stopped, self._ended = threading.Event(), False, threading.Event()
         self._work: threading.Thread | None = None
         self.raw = self.capture()
 
@@ -116,7 +115,8 @@ class LiveStation:
         empty.on_click(lambda _: self._take_background())
         no_empty.on_click(lambda _: self._set(background=None))
         save.on_click(lambda _: self.save())
-        threading.Thread(target=self._live, name="reorient camera", daemon=True).start()
+        self._live_thread = threading.Thread(target=self._live, name="reorient camera", daemon=True)
+        self._live_thread.start()
 
     def teach(self) -> None:
         """Write what the camera sees as the goal."""
@@ -149,6 +149,12 @@ class LiveStation:
             self._station.arm.stop()
             self._station = None  # a stopped arm is opened anew
         self._viewer.say("stopped")
+
+    def close(self) -> None:
+        """Stop, and show no more frames."""
+        self.stop()
+        self._ended.set()
+        self._live_thread.join()
 
     def save(self) -> None:
         """Write the isolation to ``robot.toml``, whose comments stay."""
@@ -214,12 +220,11 @@ class LiveStation:
 
     def _live(self) -> None:
         """Show the camera's frames until the view ends."""
-        while True:
+        while not self._ended.wait(FRAME_S):
             try:
                 self._show_frame(self.capture())
             except USER_ERRORS as error:
                 self._seen.content = in_words(error)
-            time.sleep(FRAME_S)
 
     def _show_frame(self, raw: DepthImage) -> None:
         self.raw = raw

@@ -6,10 +6,7 @@ waits for nothing that a browser does. All browsers show the same.
 
 import queue
 import threading
-from contextlib import redirect_stdout
 from dataclasses import dataclass
-from io import StringIO
-from typing import Any
 
 import numpy as np
 
@@ -17,15 +14,28 @@ from reorient import so3
 from reorient.controller import Step
 from reorient.formatting import format_probability, format_share
 from reorient.imaging import DepthImage
-from reorient.plugins import LOGGER, import_extra
+from reorient.plugins import LOGGER
 from reorient.registration import DepthView
 from reorient.reporting.scenes import CLASSES, Compared, Hypothesis, at_most
 from reorient.se3 import Transform
-from reorient.viewing.showing import IMAGE_PX, picture, plain
+from reorient.viewing.showing import (
+    AXIS,
+    CURRENT,
+    GHOST,
+    GOAL,
+    IMAGE_PX,
+    LOOPBACK,
+    PORT,
+    add_cloud,
+    address,
+    look_at,
+    picture,
+    plain,
+    point_m,
+    serve,
+    stop,
+)
 
-LOOPBACK = ("127.0.0.1", "localhost", "::1")
-PORT = 8080
-GOAL, CURRENT, GHOST, AXIS = (86, 180, 233), (230, 159, 0), (204, 121, 167), (240, 240, 240)
 _GHOST_SCALE = 0.45
 _PALETTE = np.array([each.colour for each in CLASSES], np.uint8)
 
@@ -55,9 +65,7 @@ class Viewer:
 
         Raises ReorientError where the extra ``view`` is not installed.
         """
-        viser = import_extra("viser", "view")
-        with redirect_stdout(StringIO()):  # it prints its address whatever ``verbose`` is
-            self.server: Any = viser.ViserServer(host, port, label=title, verbose=False)
+        self.server = serve(title, host, port)
         self._lock = threading.RLock()
         self._steps: list[_Shown] = []
         self._inbox: queue.SimpleQueue[Step | None] = queue.SimpleQueue()
@@ -70,7 +78,7 @@ class Viewer:
     @property
     def address(self) -> str:
         """Of the view, for a browser."""
-        return f"http://{self.server.get_host()}:{self.server.get_port()}"
+        return address(self.server)
 
     def decided(self, step: Step) -> None:
         """Show a step before its move."""
@@ -90,9 +98,7 @@ class Viewer:
             self.goal = at_most(goal)
             self._goal_view = DepthView(self.goal)
             self._steps = []
-            points_m = self.goal.points()
-            self._middle_m = points_m.mean(axis=0)
-            self._radius_m = float(np.linalg.norm(points_m - self._middle_m, axis=1).max())
+            self._middle_m, self._radius_m = look_at(self.server, self.goal)
             self._draw_fixed()
 
     def wait(self) -> None:
@@ -104,13 +110,10 @@ class Viewer:
         """End the view."""
         self._inbox.put(None)
         self._worker.join()
-        with redirect_stdout(StringIO()):
-            self.server.stop()
+        stop(self.server)
 
     def _gui(self) -> None:
         gui = self.server.gui
-        # no share button: it would open the view to the internet
-        gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, control_width="large")
         self._idle, self._busy = threading.Event(), False
         self._status = gui.add_markdown("")
         self._scrub = gui.add_slider("step", min=0, max=1, step=1, initial_value=0, disabled=True)
@@ -170,10 +173,6 @@ class Viewer:
     def _draw_fixed(self) -> None:
         """The goal, the camera, the robot's axes."""
         scene = self.server.scene
-        scene.set_up_direction("-y")
-        eye = self._middle_m + 3.2 * self._radius_m * np.array([0.35, -0.35, -1.0])
-        camera = self.server.initial_camera
-        camera.position, camera.look_at = tuple(eye), tuple(self._middle_m)
         self._goal_picture.image = picture(self.goal)
         lens = self.goal.camera
         self._frustum = scene.add_camera_frustum(
@@ -182,7 +181,8 @@ class Viewer:
             aspect=lens.width / lens.height,
             scale=0.15 * float(self._middle_m[2]),
             color=GOAL,
-            line_width=1.0,
+            thickness=1.0,
+            thickness_units="screen",
             visible=False,
         )
         if self._T_camera_base is not None:
@@ -190,7 +190,7 @@ class Viewer:
             scene.add_frame("/robot base", wxyz=so3.quat_from_matrix(R), position=t_m, axes_length=0.15)
         for name in ("/current", "/alternatives", "/axis", "/belief"):
             scene.add_frame(name, show_axes=False)
-        self._cloud("/goal", self.goal, np.array(GOAL))
+        add_cloud(scene, "/goal", self.goal, np.array(GOAL))
 
     def _draw_step(self) -> None:
         """All of the chosen step."""
@@ -213,6 +213,7 @@ class Viewer:
         with self._lock, self.server.atomic():
             if not self._steps:
                 return
+            scene = self.server.scene
             shown = self._steps[min(int(self._scrub.value), len(self._steps) - 1)]
             names = [each.label for each in shown.hypotheses]
             chosen = names.index(self._choice.value) if self._choice.value in names else 0
@@ -223,8 +224,8 @@ class Viewer:
                 if evidence
                 else (np.array(GOAL), np.array(CURRENT))
             )
-            self._cloud("/goal", self.goal, colours[0], visible=self._boxes["goal"].value)
-            self._cloud("/current/points", shown.image, colours[1], visible=self._boxes["current"].value)
+            add_cloud(scene, "/goal", self.goal, colours[0], visible=self._boxes["goal"].value)
+            add_cloud(scene, "/current/points", shown.image, colours[1], visible=self._boxes["current"].value)
             self._here_m = shown.image.points().mean(axis=0)
             self._ghosts(shown, chosen)
             self._lines(shown.step)
@@ -252,7 +253,7 @@ class Viewer:
         for k, each in enumerate(others):
             place_m = self._middle_m + self._radius_m * np.array([1.75, k - (len(others) - 1) / 2, 0.0])
             points_m = (shown.image.points() - self._here_m) @ each.R_goal_current.T * _GHOST_SCALE
-            size_m = _GHOST_SCALE * self._point_m(shown.image)
+            size_m = _GHOST_SCALE * point_m(shown.image)
             name = f"/alternatives/{each.label}"
             scene.add_point_cloud(name, points_m, np.array(GHOST), point_size=size_m, position=place_m)
             ball = scene.add_icosphere(
@@ -286,17 +287,6 @@ class Viewer:
             probability = format_probability(float(1 / (1 + np.exp(-log_odds))))
             lines.append(f"belief {probability}: {np.degrees(so3.angle(R)):.1f} deg remaining")
         return "\n\n".join(lines)
-
-    def _cloud(self, name: str, image: DepthImage, colours: np.ndarray, visible: bool = True) -> None:
-        points_m = image.points().astype(np.float32)
-        size_m = self._point_m(image)
-        self.server.scene.add_point_cloud(
-            name, points_m, colours, point_size=size_m, precision="float32", visible=visible
-        )
-
-    def _point_m(self, image: DepthImage) -> float:
-        """Distance of neighbouring pixels on the object, metres."""
-        return float(image.depth_m[image.valid].mean() / image.camera.fx)
 
 
 _NAMES = dict(zip((each.label for each in CLASSES), ("green:", "red:", "yellow:", "blue:"), strict=True))
