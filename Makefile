@@ -2,10 +2,13 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo demo-cell test test-slow test-train test-cell test-peers test-robot test-view lint clean
+.PHONY: demo readme-picture demo-cell test test-slow test-train test-cell test-peers test-robot test-view lint clean
 
 demo: .venv/base
 	$(BIN)/reorient demo --out out/demo
+
+readme-picture: demo
+	cp out/demo/loop.gif docs/demo.gif
 
 test: .venv/dev
 	$(BIN)/pytest -n auto -m "not slow"
