@@ -7,7 +7,8 @@ import trimesh
 from reorient import so3
 from reorient.errors import ReorientError
 from reorient.estimators import load_estimator
-from reorient.estimators.polish import Polished, choose, polish, uncertainty
+from reorient.estimators import polish as polish_module
+from reorient.estimators.polish import Polished, polish, uncertainty
 from reorient.estimators.rotation_search import RotationSearch
 from reorient.estimators.search import EFFORTS, Stage, perturb_and_select, search
 from reorient.estimators.verifier import FEATURES, Verifier, features, load_verifier
@@ -224,14 +225,14 @@ def test_a_file_that_is_no_verifier_is_refused(tmp_path):
         load_verifier(path)
 
 
-def test_icp_is_kept_unless_it_loses_score(mesh):
+def test_the_polish_improves_an_answer_and_leaves_one_that_its_steps_worsen(mesh, monkeypatch):
     pair = pair_of(mesh, 5, 60, randomised(0.001))
     problem, truth = build_problem(pair.current, pair.goal, pair.pivot_m), motion_of(pair)
-    polished = polish(problem, truth)
-    assert errors_deg(polished.hypothesis.R[0], pair.R_goal_current) < 1
-    assert uncertainty(problem, polished.hypothesis)[1]
-    slid = Polished(Hypotheses(so3.exp(np.array([[0.0, 0.2, 0.0]])) @ truth.R, truth.t_m), 5)
-    assert choose(problem, truth, polished) is polished
-    kept = choose(problem, truth, slid)
-    assert kept.hypothesis is truth
-    assert not uncertainty(problem, slid.hypothesis)[1]
+    slid = Hypotheses(so3.exp(np.array([[0.0, 0.2, 0.0]])) @ truth.R, truth.t_m)
+    polished = polish(problem, Hypotheses(so3.exp(np.array([[0.0, 0.03, 0.0]])) @ truth.R, truth.t_m)).hypothesis
+    assert errors_deg(polished.R[0], pair.R_goal_current) < 1
+    assert uncertainty(problem, polished)[1]
+    assert not uncertainty(problem, slid)[1]
+    monkeypatch.setattr(polish_module, "refine", lambda *_: slid)
+    monkeypatch.setattr(polish_module, "register", lambda *_: Polished(slid, 5))
+    assert polish(problem, truth).hypothesis is truth

@@ -42,7 +42,7 @@ def spoilt(value):
         (FLAT[..., None], r"shape \(72, 96, 1\): expected \(height, width\)"),
         (spoilt(-0.1), "as low as -0.1 m: expected no negative value"),
         (0 * FLAT, "0 everywhere: expected returns from the object"),
-        (1000 * FLAT, "median depth is 600: this looks like millimetres"),
+        (1000 * FLAT, "depths are 600 to 600: this looks like millimetres"),
         (np.nan * FLAT, "0 everywhere: expected returns from the object"),
         ([[0.5], [0.5, 0.6]], r"depth is no image .* expected an array \(height, width\)"),
     ],
@@ -81,8 +81,23 @@ def test_a_pixel_beyond_any_range_is_unknown(value, camera):
     image = DepthImage(spoilt(value), camera)
     assert np.argwhere(image.unknown).tolist() == [[3, 4]]
     assert np.isfinite(image.points()).all()
-    with pytest.raises(ReorientError, match="median depth is .*expected metres"):
+    with pytest.raises(ReorientError, match="depths are .*expected metres"):
         DepthImage(np.full(FLAT.shape, value), camera)  # all of them: another unit
+
+
+@pytest.mark.parametrize("factor", [1.0, 1000.0])
+def test_the_unit_is_that_of_the_nearest_returns(factor, camera):
+    """Most of a raw frame may be a far background; two stray returns are no object."""
+    depth_m = np.full(FLAT.shape, 25.0 * factor)
+    depth_m[3, 4:6] = 0.6
+    with pytest.raises(ReorientError, match=r"depths are 0.6 to 2.*: this looks like millimetres"):
+        DepthImage(depth_m, camera)
+    depth_m[10:20, 10:20] = 0.6 * factor
+    if factor == 1:
+        assert np.array_equal(DepthImage(depth_m, camera).depth_m, depth_m.astype(np.float32))
+    else:
+        with pytest.raises(ReorientError, match="this looks like millimetres"):
+            DepthImage(depth_m, camera)
 
 
 def test_a_masked_pixel_is_unknown(camera):

@@ -113,6 +113,15 @@ def test_the_plane_is_removed_and_an_object_from_6_mm_height_stays(mesh, noise_m
         assert iou(isolate(image, remove_plane=True, **fields).valid, owner == 0) > (0.9 if noise_m else 0.93)
 
 
+@pytest.mark.parametrize("height_m", [0.004, 0.006])
+def test_low_parts_of_a_higher_object_are_not_removed_with_the_plane(height_m):
+    tower, base = block((-0.05, -0.02, 0.0), (-0.01, 0.02, 0.05)), block((-0.01, -0.012, 0.0), (0.07, 0.012, height_m))
+    image, owner = view(trimesh.util.concatenate([tower, base]), TABLE, noise_m=0.0012)
+    kept = isolate(image, remove_plane=True).valid
+    assert np.count_nonzero(kept & (owner == 0)) > 0.95 * np.count_nonzero(owner == 0)
+    assert np.count_nonzero(kept & (owner != 0)) < 0.05 * np.count_nonzero(owner == 0)
+
+
 def test_a_wall_is_removed_with_the_table_and_the_result_is_reproducible():
     image, owner = view(PART, TABLE, WALL, noise_m=0.001)
     kept = isolate(image, remove_plane=True)
@@ -285,6 +294,15 @@ def test_a_whole_scene_is_no_isolated_object():
     for refused in (isolate, require_isolated):
         with pytest.raises(ReorientError, match="isolate the object: returns fill 100% of the image"):
             refused(image)
+
+
+def test_an_object_before_a_far_background_is_in_metres_and_the_background_is_no_object():
+    image, owner = view(FLOATING)
+    raw = DepthImage(np.where(owner == 0, image.depth_m, 25.0), CAMERA)
+    for kept in (isolate(raw, far_m=2.0), isolate(raw, owner == 0)):
+        assert np.array_equal(kept.valid, owner == 0)
+    with pytest.raises(ReorientError, match=r"the object is at 25 m .*: choose it with --near, --far or --mask"):
+        require_isolated(replace(raw, depth_m=np.where(np.arange(180)[:, None] < 70, raw.depth_m, 0)))
 
 
 def test_a_tight_crop_of_an_object_is_isolated():

@@ -29,6 +29,11 @@ AXES = 60
 """Other axes that are tried; about 20 degrees apart, which Gauss-Newton bridges."""
 ANGLES = 18
 """Other angles about the reported axis that are tried."""
+NEARER = (0.0, 0.25, 0.5, 0.75)
+"""Shifts towards the camera, relative to the object diameter, from which the reported rotation is aligned: after a
+flip the object is thicker than it appeared, and translation alone hardly moves across a face."""
+REPORTED = len(NEARER) + 1
+"""Alignments of the reported rotation."""
 KEPT = 6
 """Hypotheses with the highest scores that are refined, of those that a slip explains and of the others each."""
 FEWEST_RETURNS = 50
@@ -100,7 +105,7 @@ class MotionTest:
         away_rad = so3.angle_difference(found.R, R_reported)
         least_rad = min(float(so3.angle(R_reported)), self.largest_rad)
         agrees = away_rad <= max(self.near_rad, self.near * least_rad)
-        agrees[:2] = True
+        agrees[:REPORTED] = True
         differs = away_rad >= max(self.near_rad, self.far * least_rad)
         best, highest = int(np.argmax(found.score)), float(found.score.max())
         if away_rad[best] <= max(self.near_rad, min(self.near * least_rad, self.confirmed_rad)) and not np.any(
@@ -119,8 +124,9 @@ class MotionTest:
 
     def _aligned(self, problem: Problem, R_reported: Float[np.ndarray, "3 3"]) -> "_Aligned":
         """The reported rotation, aligned by translation alone, and then all others with the highest scores."""
-        start = problem.start(np.stack([R_reported, R_reported]))
-        start.t_m[1] = problem.prior.translations(R_reported[None])[0]  # about the middle: right for another side
+        start = problem.start(np.repeat(R_reported[None], REPORTED, axis=0))
+        start.t_m[:-1, 2] -= np.array(NEARER) * problem.diameter_m
+        start.t_m[-1] = problem.prior.translations(R_reported[None])[0]  # about the middle: right for another side
         reported = refine(problem, start, (*COARSE, *FINE), POINTS, rotate=False)
         tried = refine(problem, problem.start(_tried(R_reported)), COARSE, POINTS // 2)
         score = problem.image_score(tried, TOLERANCE, POINTS)
@@ -160,7 +166,7 @@ TOLERANCE = 0.015
 
 @dataclass(frozen=True, eq=False)
 class _Aligned:
-    """Aligned hypotheses, with scores and shares of violations; the first two are the reported rotation."""
+    """Aligned hypotheses, with scores and shares of violations; the first are the reported rotation."""
 
     R: Float[np.ndarray, "k 3 3"]
     score: Float[np.ndarray, " k"]

@@ -28,15 +28,12 @@ class Polish:
     inlier_tolerance: float = 0.012
     """Depth difference of the inliers that measure the noise. Against 0.015: docs/tuning.md."""
     quiet: float = 0.0045
-    """Residual of depth with next to no noise; also the tolerance by which ICP's answer is compared with its start.
-    What exact depth leaves (7d3071c)."""
+    """Residual of depth with next to no noise; also the tolerance of the scores that choose the answer. What exact
+    depth leaves (7d3071c); 1.5 residuals, if larger, chose no better."""
     voxel: float = 0.009
     """Of ICP's clouds. Finer voxels, and one size for both: docs/tuning.md."""
     noisy_voxel: float = 0.02
     """The same for noisy depth (docs/tuning.md); also the largest distance of ICP's correspondences."""
-    loss: float = 0.002
-    """Score that ICP's answer may lose: differences below a pixel count as little. 0.02 was too much on a generated
-    object (48ae15e)."""
     least_noise: float = 0.001
     """Residual of exact depth, which comes from interpolation between pixels."""
     covariance_scale: float = 0.044
@@ -58,17 +55,16 @@ class Polished:
 
 
 def polish(problem: Problem, answer: Hypotheses) -> Polished:
-    """Gauss-Newton steps on all returns; then ICP, which is finer, unless it loses the score of its start."""
+    """The best of the answer, Gauss-Newton steps from it on all returns, and ICP from there, by score.
+
+    Either step may drag an answer away where the views hardly overlap.
+    """
     noise = _residual(problem, answer)
-    answer = refine(problem, answer, [max(x, POLISH.noise_factor * noise) for x in POLISH.tolerances], POLISH.points)
-    registered = register(problem, answer, POLISH.voxel if noise < POLISH.quiet else POLISH.noisy_voxel)
-    return Polished(answer, 0) if registered is None else choose(problem, answer, registered)
-
-
-def choose(problem: Problem, answer: Hypotheses, registered: Polished) -> Polished:
-    """The registered answer unless it loses the score of the one that it began from."""
-    before, after = (problem.score(x, POLISH.quiet, POLISH.points)[0] for x in (answer, registered.hypothesis))
-    return registered if after >= before - POLISH.loss else Polished(answer, registered.iterations)
+    stepped = refine(problem, answer, [max(x, POLISH.noise_factor * noise) for x in POLISH.tolerances], POLISH.points)
+    registered = register(problem, stepped, POLISH.voxel if noise < POLISH.quiet else POLISH.noisy_voxel)
+    tried = [answer, stepped] if registered is None else [answer, stepped, registered.hypothesis]
+    score = [problem.score(x, POLISH.quiet, POLISH.points)[0] for x in tried]
+    return Polished(tried[int(np.argmax(score))], 0 if registered is None else registered.iterations)
 
 
 def register(problem: Problem, answer: Hypotheses, voxel: float) -> Polished | None:

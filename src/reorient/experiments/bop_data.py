@@ -60,7 +60,7 @@ class View:
         cameras = _scene(self.folder, "scene_camera.json")
         image = read_depth(file, intrinsics_from(cameras.get(str(self.image)), str(self.folder / "scene_camera.json")))
         mask = read_mask(self.folder / "mask_visib" / f"{self.image:06d}_{self.annotation:06d}.png")
-        return isolate(image, mask)
+        return isolate(image, mask, allow_touching=True)  # the masks are exact: a flat object touches its table
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,8 +11,11 @@ from reorient.imaging.camera import Camera, is_number
 from reorient.imaging.intrinsic_fields import distortion_of
 from reorient.imaging.splatting import splat
 
-NEAREST_M = 0.01  # no depth camera measures a median depth below this
-MILLIMETRES_ABOVE = 20.0  # a median depth above this is taken as millimetres: no held object is 20 m away
+NEAREST_M = 0.01  # no depth camera measures nearer
+MILLIMETRES_ABOVE = 20.0  # depth above this is taken as millimetres: no held object is 20 m away
+_STRAY = (
+    0.0003  # share of a raw frame's returns that may be stray. More near a camera may be an object before a far scene
+)
 NO_RETURN = 65535  # in unsigned 16 bits
 _AWAY = 0.1  # of the width: largest median distance of organised points from their pixels, by lens distortion
 _RANGE_M = (1e-4, 1e3)  # single returns outside it are no measurement: rounding of zero, a renderer's "infinitely far"
@@ -209,11 +212,12 @@ def without_mask(array: object, fill: float) -> np.ndarray:
 
 
 def _without_return(depth_m: Float32[np.ndarray, "height width"]) -> Bool[np.ndarray, "height width"]:
-    """NaN, infinity, and single returns outside any camera's range. Where all are outside, the unit is wrong."""
+    """NaN, infinity, and single returns outside any camera's range. Where nearly all are outside, the unit is wrong."""
     with np.errstate(invalid="ignore"):
         nothing = ~np.isfinite(depth_m)
         outside = (depth_m > _RANGE_M[1]) | ((depth_m > 0) & (depth_m < _RANGE_M[0]))
-        some = bool(np.any((depth_m > 0) & ~outside & ~nothing))
+        seen = (depth_m >= _RANGE_M[0]) & ~nothing
+        some = np.count_nonzero(seen & (depth_m <= MILLIMETRES_ABOVE)) > _STRAY * np.count_nonzero(seen)
     return np.asarray(nothing | outside if some else nothing)
 
 
@@ -236,9 +240,17 @@ def _check_values(depth_m: Float32[np.ndarray, "height width"]) -> None:
         raise ReorientError("depth is 0 everywhere: expected returns from the object (empty frame or empty mask?)")
     returns = depth_m[depth_m > 0]
     if returns.min() >= NEAREST_M and highest <= MILLIMETRES_ABOVE:
-        return  # then so is the median, which takes longer to compute
-    median = float(np.median(returns))
-    if median < NEAREST_M:
-        raise ReorientError(f"median depth is {median:.2g} m: expected metres, at least {NEAREST_M} (wrong scale?)")
-    if median > MILLIMETRES_ABOVE:
-        raise ReorientError(f"median depth is {median:.0f}: this looks like millimetres, expected metres (times 0.001)")
+        return  # then so are the quantiles, which take longer to compute
+    found = f"depths are {returns.min():.3g} to {highest:.3g}"
+    if np.quantile(returns, 1 - _STRAY) < NEAREST_M:
+        raise ReorientError(f"{found} m: expected metres, at least {NEAREST_M} (wrong scale?)")
+    if not is_metres(returns):
+        raise ReorientError(f"{found}: this looks like millimetres, expected metres (times 0.001)")
+
+
+def is_metres(returns: Float[np.ndarray, " n"]) -> bool:
+    """Whether depth may be in metres: some of it, more than stray returns, is where an object may be.
+
+    Most returns of a raw frame may be from a far background.
+    """
+    return bool(np.quantile(returns, _STRAY) <= MILLIMETRES_ABOVE)

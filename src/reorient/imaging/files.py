@@ -15,7 +15,7 @@ from PIL import Image, PngImagePlugin, TiffImagePlugin
 from reorient.errors import ReorientError
 from reorient.imaging.camera import Camera
 from reorient.imaging.depth_arrays import READERS, SCALE_M, TIFF_DESCRIPTION, read_arrays
-from reorient.imaging.depth_image import MILLIMETRES_ABOVE, NO_RETURN, DepthImage
+from reorient.imaging.depth_image import NO_RETURN, DepthImage, is_metres
 from reorient.imaging.documents import existing, refuse_pickle
 from reorient.imaging.intrinsic_fields import Intrinsics
 from reorient.imaging.intrinsics import camera_data, fitted, intrinsics_from, read_camera, read_intrinsics, write_camera
@@ -34,7 +34,7 @@ def read_depth(path: str | Path, camera: CameraChoice = None, scale_m: float | N
     ``camera``: intrinsics or a file of them (docs/formats.md), overriding those in the image; needed where the image
     has none. A file may lack the image size; where it is for another resolution of the same aspect ratio, it is scaled
     and a note is logged. Its lens distortion is undone by nearest neighbour; pixels without source become unknown.
-    ``scale_m``: metres per unit of integer depth, and of floats that are no metres (median above 20); by default the
+    ``scale_m``: metres per unit of integer depth, and of floats that are no metres (all above 20); by default the
     image's own, else the camera file's, else 0.001. In unsigned 16 bits 65535 is no return.
     Raises ReorientError for a missing, truncated or unknown file, missing intrinsics or intrinsics of another aspect
     ratio, a distortion of an unknown model, and whatever DepthImage refuses.
@@ -167,7 +167,7 @@ def _metres(array: np.ndarray, scale_m: float | None) -> tuple[np.ndarray, np.nd
     depth = array[..., 2] if array.ndim == 3 else array
     with np.errstate(invalid="ignore"):
         returns = depth[(depth > 0) & np.isfinite(depth)]
-    if scale_m is not None and len(returns) and np.median(returns) > MILLIMETRES_ABOVE:
+    if scale_m is not None and len(returns) and not is_metres(returns):
         array = array * scale_m
     return array, np.zeros(array.shape[:2], bool)
 

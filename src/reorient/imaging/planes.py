@@ -17,10 +17,15 @@ _MOST, _LEAST = 6, 0.03  # planes sought one after another; share of the returns
 _RIM_PX = 3  # width of the rim along which a plane must continue
 _RIM_SHARE = 0.03  # of the rim along which a plane must continue
 _WIDE = 0.2  # of the rim: a table around an object has nearly all of it, a wall a side, other parts less
-_MEDIAN_PX, _MEAN_PX = 5, 9  # windows that smooth heights
+_MEDIAN_PX, _MEAN_PX = 5, 9  # windows of densities and of mean heights
 _LOWEST_M, _HIGHEST_M = 0.001, 0.004  # range of the smoothed height below which a return belongs to a plane
 _SINGLE = 6.0  # distance of a return that needs no neighbours, over the noise
-_ABOVE_NOISE, _CERTAIN = 3.0, 5.0  # this height, over the noise of the smoothed heights
+_CERTAIN = 5.0  # mean height of a return that is certainly off a plane, over the noise of such means
+# Of total variation: weight, over the noise; iterations; largest height, over the noise; and the smoothed height above
+# which a return is off, over the noise. By the intersection over union on 24 frames of household tuning objects, each
+# cut out with 40 px around; among weights 1-3, largest heights 4-12, thresholds 1.3-2.2. 1.6 itself was not measured
+_WEIGHT, _STEPS, _CLIP = 1.0, 40, 6.0
+_ABOVE_NOISE = 1.6
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +82,7 @@ def continuing_planes(image: DepthImage, part: Mask) -> list[Plane]:
 def above(image: DepthImage, part: Mask, plane: Plane) -> Mask:
     """The returns of a part of a frame that do not belong to a plane that continues beyond it.
 
-    A median over 5 x 5 pixels separates objects 5 mm high from a plane with depth noise of 2 mm.
+    Smoothed heights separate objects 5 mm high from a plane with depth noise of 2 mm.
     """
     heights_m = plane.height(image.camera.rays() * image.depth_m[..., None])
     return off_surface(heights_m, image.valid, part, plane.noise_m)
@@ -86,29 +91,50 @@ def above(image: DepthImage, part: Mask, plane: Plane) -> Mask:
 def off_surface(heights_m: Float[np.ndarray, "height width"], valid: Mask, part: Mask, noise_m: float) -> Mask:
     """The returns of a part of a frame that are off a surface, given each one's distance from it and the noise.
 
-    Certain are those with a mean over 9 x 9 pixels that is off by five times its noise, and thin parts: those off by
-    six times the noise themselves. Of the returns connected to them belong those with a median over 5 x 5 pixels that
-    is off by three times its noise; then those with such a mean over the remaining pixels: the foot of an object, and
-    low parts beside high ones. So the noise of a large surface leaves nothing.
+    Heights without noise are found by total variation (Rudin, Osher and Fatemi 1992), which keeps the outlines: their
+    returns off the surface by more than a threshold are the segmentation with the least sum of outline and misfit
+    (Chambolle 2004). Of these belong the ones that are connected to certain ones: those with a mean over 9 x 9 pixels
+    that is off by five times its noise, and thin parts, off by six times the noise themselves. So the noise of a large
+    surface leaves nothing, and the foot of an object and low parts beside high ones stay.
     """
+    result = np.zeros_like(part)
     near = window(part, 2 * _MEAN_PX)
     heights_m, seen = heights_m[near].astype(np.float32), valid[near]
     nearest = ndimage.distance_transform_edt(~seen, return_distances=False, return_indices=True)
-    filled_m = heights_m[tuple(nearest)]
+    heights_m = heights_m[tuple(nearest)]
+    limit_m = float(np.clip(_ABOVE_NOISE * noise_m, _LOWEST_M, _HIGHEST_M))
     on = seen & (np.abs(heights_m) < max(_FINE * noise_m, _LOWEST_M))
-    mean_m = ndimage.uniform_filter(filled_m, _MEAN_PX)
-    median_m = ndimage.median_filter(filled_m, _MEDIAN_PX, mode="nearest")
-    limit_m = _limit(median_m, on, _ABOVE_NOISE)
-    single = np.abs(heights_m) > max(_SINGLE * noise_m, limit_m)
-    off = (np.abs(median_m) > limit_m) | single
-    certain = single | (off & (np.abs(mean_m) > _limit(mean_m, on, _CERTAIN)))
-    off = ndimage.binary_propagation(certain, np.ones((3, 3)), mask=off)
-    rest = (seen & ~off).astype(np.float32)
-    count = np.maximum(ndimage.uniform_filter(rest, _MEAN_PX), 1e-3)
-    mean_m = ndimage.uniform_filter(rest * np.clip(heights_m, -limit_m, limit_m), _MEAN_PX) / count
-    off = ndimage.binary_propagation(off, mask=off | (mean_m > _limit(mean_m, on & ~off, _ABOVE_NOISE)))
-    result = np.zeros_like(part)
-    result[near] = off & seen & part[near]
+    mean_m = ndimage.uniform_filter(heights_m, _MEAN_PX)
+    single = seen & (np.abs(heights_m) > max(_SINGLE * noise_m, limit_m))
+    certain = single | (seen & (np.abs(mean_m) > _limit(mean_m, on, _CERTAIN)))
+    if not certain.any():
+        return result
+    around = window(certain, longer_side(window(certain)) // 4 + 2 * _MEAN_PX)
+    scale_m = limit_m / _ABOVE_NOISE
+    smooth = _denoised(np.clip(heights_m[around] / scale_m, -_CLIP, _CLIP))
+    off = np.abs(smooth) > _ABOVE_NOISE
+    off |= single[around]
+    off = ndimage.binary_propagation(certain[around] & off, np.ones((3, 3)), mask=off)
+    kept = np.zeros_like(seen)
+    kept[around] = off
+    result[near] = kept & seen & part[near]
+    return result
+
+
+def _denoised(values: Float[np.ndarray, "height width"]) -> Float[np.ndarray, "height width"]:
+    """The minimum of total variation + |result - values|^2 / (2 weight), by Chambolle's projection (2004)."""
+    dual = np.zeros((2, *values.shape), np.float32)
+    slope = np.zeros_like(dual)
+    result = values.copy()
+    for _ in range(_STEPS):
+        np.subtract(result[1:], result[:-1], out=slope[0, :-1])
+        np.subtract(result[:, 1:], result[:, :-1], out=slope[1, :, :-1])
+        dual += slope * np.float32(0.25 / _WEIGHT)
+        dual /= np.maximum(1, np.hypot(dual[0], dual[1]))
+        divergence = dual[0] + dual[1]
+        divergence[1:] -= dual[0, :-1]
+        divergence[:, 1:] -= dual[1, :, :-1]
+        result = values + np.float32(_WEIGHT) * divergence
     return result
 
 

@@ -9,7 +9,7 @@ from scipy import ndimage
 
 from reorient.errors import ReorientError
 from reorient.imaging.connected import ObjectClusters
-from reorient.imaging.depth_image import DepthImage
+from reorient.imaging.depth_image import MILLIMETRES_ABOVE, NEAREST_M, DepthImage
 from reorient.imaging.masks import Mask
 from reorient.imaging.planes import Plane
 
@@ -23,7 +23,7 @@ _CROSS = ndimage.generate_binary_structure(2, 1)
 
 def require_isolated(image: DepthImage) -> DepthImage:
     """The image itself. Raises ReorientError for a whole scene: returns on over 60% of the image and on over half of
-    its border (a tight crop of an object has few returns on the border)."""
+    its border (a tight crop of an object has few returns on the border); and for an object at no possible distance."""
     share = float(np.mean(image.valid))
     border = np.concatenate([image.valid[[0, -1]].ravel(), image.valid[:, [0, -1]].ravel()])
     if share > ISOLATED_BELOW and float(np.mean(border)) > 0.5:
@@ -31,6 +31,15 @@ def require_isolated(image: DepthImage) -> DepthImage:
             f"isolate the object: returns fill {share:.0%} of the image, expected at most {ISOLATED_BELOW:.0%}; "
             "give a mask, a box, a near/far range, or remove the table (--mask, --box, --near, --far, --remove-plane)"
         )
+    returns_m = image.depth_m[image.valid]
+    if returns_m.max() > MILLIMETRES_ABOVE or returns_m.min() < NEAREST_M:
+        median_m = float(np.median(returns_m))
+        if not NEAREST_M <= median_m <= MILLIMETRES_ABOVE:
+            raise ReorientError(
+                f"the object is at {median_m:.3g} m (median of {returns_m.min():.3g} to {returns_m.max():.3g} m), "
+                f"expected {NEAREST_M} to {MILLIMETRES_ABOVE:g} m: choose it with --near, --far or --mask (or the "
+                "depth scale is wrong)"
+            )
     return image
 
 
