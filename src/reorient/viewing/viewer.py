@@ -80,13 +80,11 @@ class Viewer:
         """Of the view, for a browser."""
         return address(self.server)
 
-    def decided(self, step: Step) -> None:
-        """Show a step before its move."""
+    def __call__(self, step: Step) -> None:
+        """Show a step."""
         self._inbox.put(step)
 
-    def __call__(self, step: Step) -> None:
-        """Show a step, after its move."""
-        self._inbox.put(step)
+    decided = __call__  # before its move, too
 
     def say(self, text: str) -> None:
         """Show a line of text above the controls."""
@@ -152,11 +150,13 @@ class Viewer:
 
     def _add(self, step: Step) -> None:
         known = [shown for shown in self._steps if shown.step.image is step.image]
-        if known:  # the same step after its move
-            shown = _Shown(step, known[0].image, known[0].hypotheses)
-        else:
-            image = at_most(step.image)
-            shown = _Shown(step, image, Compared(image, self.goal, self._goal_view).of(step.estimate))
+        if known:  # the same step after its move: only its words change
+            with self._lock:
+                self._steps[step.index] = _Shown(step, known[0].image, known[0].hypotheses)
+                self._say_step(self._shown())
+            return
+        image = at_most(step.image)
+        shown = _Shown(step, image, Compared(image, self.goal, self._goal_view).of(step.estimate))
         with self._lock:
             self._steps[step.index :] = [shown]
             last = len(self._steps) - 1
@@ -164,6 +164,17 @@ class Viewer:
             if self._follow.value:
                 self._scrub.value = last
                 self._draw_step()
+
+    def _shown(self) -> _Shown:
+        """The chosen step."""
+        return self._steps[min(int(self._scrub.value), len(self._steps) - 1)]
+
+    def _say_step(self, shown: _Shown) -> None:
+        """The chosen step in words."""
+        step, estimate = shown.step, shown.step.estimate
+        confidence = "-" if estimate.confidence is None else format_probability(estimate.confidence)
+        angle_deg = np.degrees(estimate.angle_rad)
+        self.say(f"image {step.index}: {angle_deg:.2f} deg, confidence {confidence}. {step.message} {step.error}")
 
     def _scrubbed(self) -> None:
         if self._steps and self._scrub.value < len(self._steps) - 1:
@@ -197,15 +208,13 @@ class Viewer:
         with self._lock:
             if not self._steps:
                 return
-            shown = self._steps[min(int(self._scrub.value), len(self._steps) - 1)]
+            shown = self._shown()
             step, names = shown.step, tuple(each.label for each in shown.hypotheses)
             if tuple(self._choice.options) != names:
                 self._choice.options = names
             self._choice.value = names[0]
             self._now_picture.image = picture(step.image)
-            confidence = "-" if step.estimate.confidence is None else format_probability(step.estimate.confidence)
-            angle_deg = np.degrees(step.estimate.angle_rad)
-            self.say(f"image {step.index}: {angle_deg:.2f} deg, confidence {confidence}. {step.message} {step.error}")
+            self._say_step(shown)
             self._draw()
 
     def _draw(self) -> None:
@@ -214,7 +223,7 @@ class Viewer:
             if not self._steps:
                 return
             scene = self.server.scene
-            shown = self._steps[min(int(self._scrub.value), len(self._steps) - 1)]
+            shown = self._shown()
             names = [each.label for each in shown.hypotheses]
             chosen = names.index(self._choice.value) if self._choice.value in names else 0
             self._hypothesis = shown.hypotheses[chosen]
@@ -282,7 +291,7 @@ class Viewer:
             lines += [f"{_NAMES[c.label]} {c.label} {format_share(getattr(each.evidence, c.share))}" for c in CLASSES]
         else:
             lines += ["light blue: goal", "orange: current"]
-        shown = self._steps[min(int(self._scrub.value), len(self._steps) - 1)]
+        shown = self._shown()
         for R, log_odds in shown.step.hypotheses[:6]:
             probability = format_probability(float(1 / (1 + np.exp(-log_odds))))
             lines.append(f"belief {probability}: {np.degrees(so3.angle(R)):.1f} deg remaining")

@@ -57,8 +57,7 @@ class Chart {
 
   show(series) {
     this.series = series;
-    this.keys.replaceChildren(...series.filter((each) => each.label).map((each, k) =>
-      element("li", {}, this.sample(each, k), each.label)));
+    this.keys.replaceChildren(...series.map((each, k) => (each.points.length ? element("li", {}, this.sample(each, k), each.label) : "")));
     this.draw();
   }
 
@@ -70,7 +69,7 @@ class Chart {
   }
 
   draw() {
-    const width = Math.max(this.root.clientWidth, 200), { height } = this, left = 58, right = 12, top = 10, bottom = 44;
+    const width = Math.max(this.root.clientWidth, 200), { height } = this, left = 58, right = 22, top = 10, bottom = 44;
     const all = this.series.flatMap((each) => each.points), { x, y } = this;
     const finite = (name) => all.map((point) => point[name]).filter(Number.isFinite);
     const [xs, ys] = [finite("x"), finite("y")];
