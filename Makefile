@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo readme-picture demo-cell test test-slow test-train test-cell test-peers test-robot test-view lint clean
+.PHONY: demo demo-robot readme-picture demo-cell test test-slow test-train test-cell test-peers test-robot test-view lint clean
 
 demo: .venv/base
 	$(BIN)/reorient demo --out out/demo
@@ -18,6 +18,9 @@ test-slow: .venv/dev
 
 test-train: .venv/train
 	$(BIN)/pytest tests/train
+
+demo-robot: .venv/robot/ready
+	.venv/robot/bin/python benchmarks/franka_loops.py out/robot
 
 demo-cell: .venv/cell
 	$(BIN)/reorient cell out/cell --objects 3 --trials 1

@@ -1,5 +1,6 @@
 """new-robot, calibrate, check, capture and orient on a robot.toml with a camera and an arm of the user's own."""
 
+import io
 import json
 import re
 from pathlib import Path
@@ -9,6 +10,8 @@ import pytest
 
 from reorient import se3
 from reorient.cli import main
+from reorient.perception.robot_calibration import RobotCalibration, write_robot_calibration
+from reorient.stations.simulated import SimulatedArm
 
 MODULE = """
 import numpy as np, trimesh
@@ -56,14 +59,14 @@ def test_from_a_new_file_to_a_converged_loop(tmp_path, monkeypatch, capsys):
     text = text.replace("settle_s = 0.15", "settle_s = 0.0")
     Path("robot.toml").write_text(text)
 
-    code, out = run(capsys, "check", "robot.toml")
+    code, out = run(capsys, "check", "robot.toml", "--yes")
     assert code == 2
     assert "`reorient calibrate robot.toml` first" in out
 
-    code, out = run(capsys, "calibrate", "robot.toml", "--estimator", "gicp")
+    code, out = run(capsys, "calibrate", "robot.toml", "--estimator", "gicp", "--yes")
     assert code == 0, out
     assert "calibration.json" in out
-    code, out = run(capsys, "check", "robot.toml", "--estimator", "gicp")
+    code, out = run(capsys, "check", "robot.toml", "--estimator", "gicp", "--yes")
     assert code == 0, out
     assert "passed" in out
 
@@ -75,7 +78,32 @@ def test_from_a_new_file_to_a_converged_loop(tmp_path, monkeypatch, capsys):
 
     found = np.array(json.loads(Path("calibration.json").read_text())["T_base_camera"])
     np.savetxt("inverse.txt", se3.inverse(found))
-    code, out = run(capsys, "calibrate", "robot.toml", "--hand-eye", "inverse.txt", "--estimator", "gicp")
+    code, out = run(capsys, "calibrate", "robot.toml", "--hand-eye", "inverse.txt", "--estimator", "gicp", "--yes")
     assert code == 0, out
     assert "inverted" in out
     assert np.allclose(json.loads(Path("calibration.json").read_text())["T_base_camera"], found)
+
+
+@pytest.mark.parametrize(
+    ("verb", "plan"),
+    [
+        (("calibrate",), "rotate by up to 35 deg about the tool point, 8 times"),
+        (("calibrate", "--hand-eye", "known.txt"), "rotate by 5 deg about three axes"),
+        (("check",), "rotate by 5 deg about three axes"),
+    ],
+)
+@pytest.mark.parametrize("answer", ["n", None])
+def test_nothing_moves_before_it_is_confirmed(tmp_path, monkeypatch, capsys, verb, plan, answer):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(SimulatedArm, "move_to", lambda *_: pytest.fail("moved"))
+    monkeypatch.setattr("sys.stdin", io.StringIO("" if answer is None else f"{answer}\n"))
+    run(capsys, "new-robot")
+    np.savetxt("known.txt", np.eye(4))
+    write_robot_calibration("calibration.json", RobotCalibration(np.eye(4), np.zeros(3)))
+    before = Path("calibration.json").read_text()
+    code, out = run(capsys, verb[0], "robot.toml", *verb[1:])
+    assert code == 1
+    assert plan in out
+    assert "not confirmed, nothing was moved" in out
+    assert ("--yes moves without asking" in out) == (answer is None)
+    assert Path("calibration.json").read_text() == before

@@ -7,10 +7,12 @@ import pytest
 import trimesh
 from oracles import BOX, WORLD, answer, cell, lying_box
 
-from reorient import load_estimator, so3
+from reorient import load_estimator, se3, so3
 from reorient.controller.arrival import ArrivalTest, Observation, PreparedImage
 from reorient.controller.symmetry import SymmetryTest, dominant_axes
 from reorient.stations.rendered import RenderedStation
+from reorient.stations.simulated import SimulatedCell
+from reorient.world.objects import generated
 from reorient.world.sensing import randomised
 
 STILL = answer(np.eye(3))
@@ -26,6 +28,25 @@ def test_log_odds_separate_the_goal_pose_from_another(mesh):
     for R, right in ((R_goal, True), (so3.exp(np.array([np.pi, 0, 0])) @ R_goal, False)):
         station.R_camera_object = R
         assert (TEST.log_odds(observed(station, 2), PreparedImage(goal)) > 0) == right
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_an_object_beside_its_place_in_the_goal_image_arrives_too(seed):
+    """15 mm aside its pixels show other points of the surface, and a wrong orientation remains one."""
+    objects = generated(1)
+    station = SimulatedCell(objects.load(objects.names[0]), np.random.default_rng(seed))
+    goal, T_goal = PreparedImage(station.frame()), station.T_camera_object
+    aside = np.array([0.009, 0.009, 0.0075])
+    log_odds = []
+    for angle_deg in (0, 6, 180):
+        R = so3.exp(np.radians([0, 0, angle_deg])) @ T_goal[:3, :3]
+        T_camera_object = se3.transform(R, T_goal[:3, 3] + aside)
+        station.T_base_tool = station.T_base_camera @ T_camera_object @ se3.inverse(station.T_tool_object)
+        images = [station.frame() for _ in range(3)]
+        estimate = replace(STILL, t_goal_current_m=-aside)
+        log_odds.append(TEST.log_odds([Observation(image, estimate) for image in images], goal))
+    assert log_odds[0] > 0.5
+    assert max(log_odds[1:]) < -3
 
 
 def test_small_depth_differences_add_up():

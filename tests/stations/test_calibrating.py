@@ -1,6 +1,7 @@
 """Calibration with the held object, and the check that names mistakes, on a simulated cell with a knowing estimator."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -71,6 +72,19 @@ def test_an_object_whose_rotation_is_not_seen_is_refused(estimator, message):
     knowing = estimator(cell)
     with pytest.raises(ReorientError, match=message):
         calibrate(*drivers(cell), estimator=knowing)
+
+
+def test_no_move_is_larger_than_the_limit_and_the_tool_point_stays_in_its_place():
+    cell = small_cell(1)
+    limits = replace(AT_ONCE, max_step_deg=20.0)
+    camera, arm = drivers(cell, limits)
+    poses, move_to = [arm.pose()], arm._arm.move_to
+    arm._arm.move_to = lambda T: poses.append(T) or move_to(T)
+    point_m = np.array([0.0, 0.01, 0.05])
+    calibrate(camera, arm, estimator=KnowingEstimator(cell), tool_point_m=point_m)
+    steps_deg = [np.degrees(so3.angle_difference(a[:3, :3], b[:3, :3])) for a, b in pairwise(poses)]
+    assert max(steps_deg) < 20.01
+    np.testing.assert_allclose([se3.apply(T, point_m) for T in poses], [se3.apply(poses[0], point_m)] * len(poses))
 
 
 def test_an_arm_without_room_is_refused_before_it_moves():

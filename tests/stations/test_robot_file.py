@@ -26,7 +26,7 @@ DRIVERS = '[camera]\ndriver = "simulated"\n[arm]\ndriver = "simulated"\n'
 
 def test_the_template_is_read_and_so_are_its_commented_lines(file):
     robot = read_robot_file(file(TEMPLATE))
-    assert robot.isolation is None
+    assert robot.isolation.radius_m == 0.2
     assert robot.calibration.name == "calibration.json"
     everything = "\n".join(
         line.removeprefix("# ") if line.startswith("# ") and "=" in line else line for line in TEMPLATE.splitlines()
@@ -118,3 +118,13 @@ def test_a_simulated_arm_starts_rotated():
     rotated = SimulatedArm(1, start_deg=40.0).pose()
     cosine = (np.trace(rotated[:3, :3] @ first[:3, :3].T) - 1) / 2
     assert np.degrees(np.arccos(cosine)) == pytest.approx(40)
+
+
+def test_the_file_as_written_isolates_the_object_of_its_simulated_cell(tmp_path):
+    path = tmp_path / "robot.toml"
+    path.write_text(TEMPLATE)
+    robot = read_robot_file(path)
+    frame = robot.open_camera().capture()
+    object_m = robot.isolation(frame).points()
+    assert len(frame.points()) > 2 * len(object_m) > 2000  # a table is in view, too
+    assert np.ptp(object_m, axis=0).max() < 0.2  # the diameter of its bounding sphere

@@ -245,8 +245,15 @@ def _confirmed(R_step: np.ndarray) -> bool:
     rotvec = np.degrees(so3.log(R_step))
     vector = " ".join(f"{x:.1f}" for x in rotvec)
     angle_deg = np.linalg.norm(rotvec)
-    print(f"first move: {angle_deg:.1f} deg (rotation vector [{vector}] deg, camera axes)", file=sys.stderr)
-    print("make this move? [y/N]", file=sys.stderr, flush=True)
+    return confirmed(
+        f"first move: {angle_deg:.1f} deg (rotation vector [{vector}] deg, camera axes)", "make this move?"
+    )
+
+
+def confirmed(plan: str, question: str) -> bool:
+    """Print a plan and ask for it at the terminal; no answer is a no."""
+    print(plan, file=sys.stderr)
+    print(f"{question} [y/N]", file=sys.stderr, flush=True)
     try:
         return input().strip().lower() in ("y", "yes")
     except EOFError:

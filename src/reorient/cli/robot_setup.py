@@ -1,5 +1,6 @@
 """The verbs that set a robot cell up: new-robot, calibrate, check."""
 
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -7,12 +8,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from reorient.cli.arguments import Positional
+from reorient.cli.robot import confirmed
 from reorient.errors import ReorientError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from reorient.estimators.base import Estimator
     from reorient.perception.robot_calibration import RobotCalibration
-    from reorient.stations.robot_file import RobotFile
+    from reorient.stations.calibrating import View
+    from reorient.stations.guarded import GuardedArm
+
+_LARGE = "rotate by up to 35 deg about the tool point, 8 times"
+_SMALL = "rotate by 5 deg about three axes, either way, and move by 4 cm along them"
 
 
 @dataclass(frozen=True)
@@ -43,7 +51,8 @@ class Calibrate:
     """Find the camera's pose and the pivot by rotating the held object.
 
     No calibration board is needed. The arm rotates the tool by up to 35 degrees, 8 times, about the tool point of
-    robot.toml, and returns; it needs an object without symmetry in the gripper, in view of the camera.
+    robot.toml, and returns; it needs an object without symmetry in the gripper, in view of the camera. The plan is
+    printed and must be confirmed (--yes does not ask).
 
     Examples:
         reorient calibrate robot.toml
@@ -57,23 +66,33 @@ class Calibrate:
     whether it is T_base_camera or its inverse."""
     estimator: str = "default"
     """Estimator of the rotations, as of ``reorient orient``."""
+    yes: bool = False
+    """Move without asking."""
 
-    def run(self) -> None:
-        """Calibrate, print the result with its standard errors, and write it."""
+    def run(self) -> int:
+        """Calibrate, print the result with its standard errors, and write it; the exit code."""
         from reorient.estimators import load_estimator
-        from reorient.perception.robot_calibration import write_robot_calibration
+        from reorient.perception.extrinsics import read_hand_eye
+        from reorient.perception.robot_calibration import RobotCalibration, write_robot_calibration
         from reorient.stations.calibrating import calibrate
+        from reorient.stations.checking import observe
+        from reorient.stations.guarded import FreshFrames
         from reorient.stations.robot_file import read_robot_file
 
         robot, estimator = read_robot_file(self.robot), load_estimator(self.estimator)
-        if self.hand_eye is not None:
-            found = _imported(robot, self.hand_eye, estimator)
-        else:
-            camera, arm = robot.open_camera(), robot.open_arm()
+        known = None if self.hand_eye is None else RobotCalibration(read_hand_eye(self.hand_eye), robot.point_m)
+        camera, arm = robot.open_camera(), robot.open_arm()
+        if not (self.yes or _confirmed(arm, _LARGE if known is None else _SMALL)):
+            return 1
+        if known is None:
             found = calibrate(camera, arm, robot.isolation, estimator, robot.point_m)
             _print(found)
+        else:
+            views = observe(FreshFrames(camera, robot.isolation), arm, known)
+            found = _in_its_direction(views, known, estimator, str(self.hand_eye))
         write_robot_calibration(robot.calibration, found)
         print(robot.calibration)
+        return 0
 
 
 @dataclass(frozen=True)
@@ -81,7 +100,8 @@ class Check:
     """Check a robot cell by small motions, and name a mistake in words.
 
     The arm rotates the tool by 5 degrees about three axes, either way, moves it by 4 cm along them, and returns. The
-    exit code is 0 where the cell is right, and 1 where it is not.
+    plan is printed and must be confirmed (--yes does not ask). The exit code is 0 where the cell is right, and 1 where
+    it is not.
 
     Examples:
         reorient check robot.toml
@@ -91,6 +111,8 @@ class Check:
     """File that ``reorient new-robot`` wrote."""
     estimator: str = "fast"
     """Estimator of the rotations, as of ``reorient orient``."""
+    yes: bool = False
+    """Move without asking."""
 
     def run(self) -> int:
         """Check and print; the exit code."""
@@ -100,8 +122,10 @@ class Check:
 
         robot, estimator = read_robot_file(self.robot), load_estimator(self.estimator)
         calibration = robot.read_calibration()
-        arm = robot.open_arm(calibration.p_tool_object_m)
-        result = check(robot.open_camera(), arm, calibration, robot.isolation, estimator)
+        camera, arm = robot.open_camera(), robot.open_arm(calibration.p_tool_object_m)
+        if not (self.yes or _confirmed(arm, _SMALL)):
+            return 1
+        result = check(camera, arm, calibration, robot.isolation, estimator)
         if result.rotation_deg is not None and result.position_m is not None:
             print(
                 f"camera and arm differ by {result.rotation_deg:.2f} deg and {1000 * result.position_m:.1f} mm (RMS "
@@ -111,25 +135,31 @@ class Check:
         return 0 if result.passed else 1
 
 
-def _imported(robot: "RobotFile", path: Path, estimator: "Estimator") -> "RobotCalibration":
-    """The calibration of a file, in the direction that the motions confirm. Raises ReorientError where neither is."""
-    from reorient import se3
-    from reorient.perception.extrinsics import read_hand_eye
-    from reorient.perception.robot_calibration import RobotCalibration
-    from reorient.stations.checking import diagnose, observe
-    from reorient.stations.guarded import FreshFrames
+def _confirmed(arm: "GuardedArm", motions: str) -> bool:
+    """Ask at the terminal for the motions of a verb."""
+    x, y, z = arm.pose()[:3, 3]
+    if confirmed(f"the tool at ({x:.3f}, {y:.3f}, {z:.3f}) m will {motions}, and return", "make these moves?"):
+        return True
+    print("reorient: not confirmed, nothing was moved", file=sys.stderr)
+    return False
 
-    calibration = RobotCalibration(read_hand_eye(path), robot.point_m)
-    views = observe(FreshFrames(robot.open_camera(), robot.isolation), robot.open_arm(), calibration)
-    result = diagnose(views, calibration, estimator)
+
+def _in_its_direction(
+    views: "Sequence[View]", known: "RobotCalibration", estimator: "Estimator", source: str
+) -> "RobotCalibration":
+    """A known calibration in the direction that the motions confirm. Raises ReorientError where neither is."""
+    from reorient import se3
+    from reorient.stations.checking import diagnose
+
+    result = diagnose(views, known, estimator)
     if result.mistake == "inverse extrinsics":
-        calibration = replace(calibration, T_base_camera=se3.inverse(calibration.T_base_camera))
-        result = diagnose(views, calibration, estimator)
-        print(f"{path} holds T_camera_base, by the motions of the object: inverted")
+        known = replace(known, T_base_camera=se3.inverse(known.T_base_camera))
+        result = diagnose(views, known, estimator)
+        print(f"{source} holds T_camera_base, by the motions of the object: inverted")
     if not result.passed:
-        raise ReorientError(f"the motions of the object contradict {str(path)!r}: {result.message}")
-    print(f"the motions of the object confirm {path}: {result.message}")
-    return calibration
+        raise ReorientError(f"the motions of the object contradict {source!r}: {result.message}")
+    print(f"the motions of the object confirm {source}: {result.message}")
+    return known
 
 
 def _print(found: "RobotCalibration") -> None:

@@ -16,7 +16,7 @@ from reorient.perception.hand_eye import LEAST_SPREAD_RAD, HandEye, Motion, axis
 from reorient.perception.robot_calibration import RobotCalibration
 from reorient.se3 import Transform
 from reorient.stations.drivers import ArmDriver, CameraDriver
-from reorient.stations.guarded import FreshFrames, GuardedArm, Isolate, about
+from reorient.stations.guarded import FreshFrames, GuardedArm, Isolate
 
 ANGLE_RAD = float(np.radians(35))  # of each rotation from the start pose
 LARGEST_RAD = float(np.radians(75))  # between two images whose motion is estimated
@@ -60,33 +60,57 @@ def calibrate(
 
 
 def observe(frames: FreshFrames, arm: GuardedArm, tool_point_m: Float[np.ndarray, "3"]) -> list[View]:
-    """Images of the object in its present pose and rotated from it; the arm ends where it began."""
+    """Images of the object in its present pose and rotated from it; the arm ends where it began.
+
+    All poses on the way are checked before the first move.
+    """
     start = arm.pose()
     center_m = se3.apply(start, tool_point_m)
-    poses = [pose for pose in (_pose(arm, start, center_m, corner) for corner in _CORNERS) if pose is not None]
-    if len(poses) < _FEWEST_IMAGES - 1:
+    ways: list[list[Transform]] = []
+    for axis in _CORNERS:
+        before = ways[-1][-1] if ways else start
+        way = _way(arm, before, start, center_m, axis)
+        if way is not None and all(map(arm.reachable, _back(arm, way[-1], start, center_m))):
+            ways.append(way)
+    if len(ways) < _FEWEST_IMAGES - 1:
         raise ReorientError(
-            f"only {len(poses)} of {len(_CORNERS)} rotations of the tool are reachable from here: expected at least "
+            f"only {len(ways)} of {len(_CORNERS)} rotations of the tool are reachable from here: expected at least "
             f"{_FEWEST_IMAGES - 1}; start from a pose with more room, or widen the workspace box"
         )
     views = [View(start, frames.capture())]
-    for pose in poses:
-        reached = arm.move_to(pose)
+    for way in ways:
+        reached = _moved(arm, way)
         frames.moved()
         views.append(View(reached, frames.capture()))
-    arm.move_to(start)
+    _moved(arm, _back(arm, ways[-1][-1], start, center_m))
     return views
 
 
-def _pose(
-    arm: GuardedArm, start: Transform, center_m: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"]
-) -> Transform | None:
-    """The start pose rotated about the axis, as far as is reachable; None where not far enough."""
+def _way(
+    arm: GuardedArm,
+    before: Transform,
+    start: Transform,
+    center_m: Float[np.ndarray, "3"],
+    axis: Float[np.ndarray, "3"],
+) -> list[Transform] | None:
+    """The poses to the start pose rotated about the axis, as far as is reachable; None where not far enough."""
     for share in _SHARES:
-        pose = about(so3.exp(axis * (share * ANGLE_RAD)), center_m) @ start
-        if arm.reachable(pose):
-            return np.asarray(pose)
+        R = so3.exp(axis * (share * ANGLE_RAD)) @ start[:3, :3]
+        way = list(arm.rotations(R @ before[:3, :3].T, center_m, before))
+        if all(map(arm.reachable, way)):
+            return way
     return None
+
+
+def _back(arm: GuardedArm, last: Transform, start: Transform, center_m: Float[np.ndarray, "3"]) -> list[Transform]:
+    return list(arm.rotations(start[:3, :3] @ last[:3, :3].T, center_m, last))
+
+
+def _moved(arm: GuardedArm, way: Sequence[Transform]) -> Transform:
+    """Move through poses; the measured pose at the end."""
+    for pose in way:
+        reached = arm.move_to(pose)
+    return reached
 
 
 def calibration_from(views: Sequence[View], estimator: Estimator) -> RobotCalibration:

@@ -38,8 +38,8 @@ driver = "{_SEEDED}"                # one of {", ".join(ARMS)}, or my_module:MyA
 point_m = [0.0, 0.0, 0.0]           # about where the object is held, in tool axes: `calibrate` rotates about it
 
 [isolation]                         # what of the frame is the object; fields of reorient.Isolation
-# radius_m = 0.15                   # a sphere around the held object; it follows the arm once calibrated
-# around_m = [0.0, 0.0, 0.6]        # its centre before that, camera axes (x right, y down, z forward)
+radius_m = 0.2                      # a sphere around the held object; it follows the arm once calibrated
+around_m = [0.0, 0.0, 0.62]         # its centre before that, camera axes (x right, y down, z forward)
 # near_m = 0.3
 # far_m = 0.9
 # remove_plane = true               # a table behind the object

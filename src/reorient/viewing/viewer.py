@@ -284,8 +284,7 @@ class Viewer:
 
     def _words(self, evidence: bool) -> str:
         """The chosen hypothesis, the legend, and the belief."""
-        each = self._hypothesis
-        x, y, z = each.axis
+        each, (x, y, z) = self._hypothesis, self._hypothesis.axis
         lines = [f"{each.angle_deg:.2f} deg about [{x:.2f} {y:.2f} {z:.2f}], camera axes"]
         if evidence:
             lines += [f"{_NAMES[c.label]} {c.label} {format_share(getattr(each.evidence, c.share))}" for c in CLASSES]
