@@ -16,7 +16,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from tracking_sequences import KINDS, Sequence
+from tracking_sequences import KINDS, Frame, Sequence
 
 from reorient import so3
 from reorient.cli.arguments import Positional, parse
@@ -86,7 +86,8 @@ def collect(config: Fit) -> None:
     np.savez(config.data, features=np.array(rows), labels=np.array(labels, float))
 
 
-def _start(sequence, frame, rng):
+def _start(sequence: Sequence, frame: Frame, rng: np.random.Generator | None) -> Hypotheses:
+    """The true motion, or one of a wrong rotation where there is an rng."""
     R, center_m = sequence.truth(frame.R_camera_object), sequence.placement.center_m
     truth = Hypotheses(R[None], frame.t_goal_current_m[None])
     if rng is None:

@@ -101,7 +101,7 @@ class Sequence:
 
     def _covered(self, image: DepthImage, mask: np.ndarray) -> DepthImage:
         depth_m = np.where(mask, 0, image.depth_m)
-        return DepthImage(depth_m, image.camera, unknown=mask if self._marked else None)
+        return DepthImage(depth_m, image.camera, unknown=mask & self._marked)
 
     def _bar(self, index: int) -> np.ndarray:
         """The pixels that the bar covers."""

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -173,6 +174,8 @@ class Tracker:
         image = as_goal(goal).image
         check_pair(image, image)
         self.estimator, self.goal = estimator, goal
+        # an estimator that knows one view gets the primary one
+        self._searched_goal: Any = goal if getattr(estimator, "several_views", False) else image
         self._track = getattr(estimator, "track", track)
         self._found: RotationEstimate | None = None  # the latest one of sufficient confidence
         self._doubtful = LOST_AFTER
@@ -235,7 +238,7 @@ class Tracker:
     def _searched(self, image: DepthImage) -> RotationEstimate | None:
         """The estimate without initial guess; None where it is not sure, or the image shows too little."""
         try:
-            estimate = self.estimator.estimate(image, self.goal)
+            estimate = self.estimator.estimate(image, self._searched_goal)
         except ReorientError:
             return None
         return self.restart(estimate) if _is_sure(estimate) else None
