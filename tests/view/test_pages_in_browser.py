@@ -111,7 +111,7 @@ def test_a_mark_of_the_evaluation_opens_its_pair(page, pages):
     page.keyboard.press("Enter")
     page.locator("[data-part=pair] h3").first.wait_for()
     assert page.locator("[data-part=pair] h3").first.inner_text() == named
-    assert page.get_by_label("truth").count() == 1
+    page.get_by_label("truth").wait_for()
     assert "#row=" in page.url
 
 
