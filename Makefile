@@ -2,10 +2,13 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo demo-cell demo-robot test test-slow test-train test-cell test-peers test-robot lint clean
+.PHONY: demo demo-robot readme-picture demo-cell test test-slow test-train test-cell test-peers test-robot test-view lint clean
 
 demo: .venv/base
 	$(BIN)/reorient demo --out out/demo
+
+readme-picture: demo
+	cp out/demo/loop.gif docs/demo.gif
 
 test: .venv/dev
 	$(BIN)/pytest -n auto -m "not slow"
@@ -36,6 +39,9 @@ lint: .venv/dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+test-view: .venv/view
+	$(BIN)/pytest tests/view
+
 .venv/base: pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
@@ -46,6 +52,7 @@ EXTRAS_dev := dev
 EXTRAS_train := dev,train,cluster
 EXTRAS_cell := dev,cell
 EXTRAS_peers := dev,peers
+EXTRAS_view := dev,view,view-tests
 
 .venv/%: .venv/base
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[$(EXTRAS_$*)]'

@@ -14,7 +14,7 @@ SOURCE = Path(__file__).parent.parent / "src" / "reorient"
 # A package (or top-level module) imports only those listed before it.
 ORDER = [
     *("errors", "formatting", "so3", "se3", "plugins", "runs", "imaging", "world", "registration", "estimators"),
-    *("controller", "perception", "stations", "learning", "experiments", "reporting", "reproducing"),
+    *("controller", "perception", "stations", "learning", "experiments", "reporting", "reproducing", "viewing"),
     *("cli", "__main__"),
     "",  # the package itself
 ]
@@ -187,7 +187,7 @@ def test_planted_violations_are_found(name, line, message):
     assert any(message in sentence for sentence in found), found
 
 
-EXTRAS = "torch mujoco mink open3d matplotlib embreex trimesh onnxruntime sklearn"
+EXTRAS = "viser mcap torch mujoco mink open3d matplotlib embreex trimesh onnxruntime sklearn"
 RECORDER = f"""
 import sys
 

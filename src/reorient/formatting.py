@@ -1,8 +1,11 @@
 """Numbers as text, the same in the command line, reports and messages. A missing value (None or NaN) prints as "-"."""
 
 import math
+from typing import Literal
 
 MISSING = "-"
+FigureFormat = Literal["png", "svg", "pdf"]
+"""Of a figure for a paper."""
 
 
 def format_probability(probability: float | None) -> str:

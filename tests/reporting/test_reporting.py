@@ -1,24 +1,17 @@
-import base64
 import csv
 import gzip
 import io
 import json
 import re
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 from rich.console import Console
 
-from reorient import Algorithm1, load_estimator, orient, so3
-from reorient.controller import OrientResult
 from reorient.errors import ReorientError
-from reorient.experiments.evaluation import COLUMNS, Evaluation, regenerate
-from reorient.formatting import format_share
-from reorient.imaging import DepthImage
-from reorient.registration import Evidence
+from reorient.experiments.evaluation import COLUMNS, Evaluation
 from reorient.reporting import (
     OVERLAP,
     figures,
@@ -27,14 +20,7 @@ from reorient.reporting import (
     read_rows,
     summarise,
     trust,
-    write_loop,
-    write_report,
 )
-from reorient.reporting.loop import evidence_in_words
-from reorient.stations.rendered import RenderedStation
-from reorient.world.objects import ObjectSource
-from reorient.world.rendering import load_world
-from reorient.world.sensing import randomised
 
 
 def row(error_deg: float, **cells: object) -> dict[str, str]:
@@ -242,72 +228,7 @@ def test_markdown_table(rows):
     assert "none was refused" in markdown_table(rows[:-1])
 
 
-# --- pages ----------------------------------------------------------------------------------------------------------
-
-
-def pictures_of(html: str) -> list[str]:
-    """The addresses of all images; fails where the page would load anything from elsewhere."""
-    assert not re.search(r"<(script|link|iframe|object)\b|@import|url\(", html)
-    addresses = re.findall(r'(?:src|href)\s*=\s*"([^"]*)"', html)
-    assert all(address.startswith("data:image/") for address in addresses)
-    assert len(addresses) == html.count("<img ")
-    return addresses
-
-
-def decoded(address: str) -> np.ndarray:
-    return np.asarray(Image.open(io.BytesIO(base64.b64decode(address.partition(",")[2]))), float)
-
-
-def test_report_holds_everything_and_rotates_the_start_by_the_estimate(tmp_path):
-    config = Evaluation(ObjectSource(count=2), ("gicp",), ranges_deg=((40, 60),), noise_mm=(0.0,), pairs=2)
-    cell = {"low_deg": 40, "high_deg": 60}
-    rows = [row(0.0, pair=index, object=f"generated-0-00000{index}", **cell) for index in (0, 1)]
-    quat_wxyz = so3.quat_from_matrix(regenerate(config, rows[0])[0].R_goal_current)
-    rows[0] |= {f"q{part}": str(x) for part, x in zip("wxyz", quat_wxyz, strict=True)}
-    rows[1] |= {"error_deg": "47.5", "error_sym_deg": "46.25", "message": "gave <up>"}
-    write_config(tmp_path, config)
-    path = write_report(write_rows(tmp_path, rows))
-    assert path == tmp_path / "report.html"
-    assert sorted(file.name for file in tmp_path.iterdir()) == ["config.json", "report.html", "rows.csv.gz"]
-    html = path.read_text()
-    charts, cards = pictures_of(html)[:3], pictures_of(html)[3:]
-    assert all(address.startswith("data:image/svg") for address in charts)
-    assert "Calibration of the confidence" not in html
-    headings = ["Results", "Error against angle", "Error histograms", "Cumulative errors", "Best and worst pairs"]
-    assert re.findall("<h2>(.*?)</h2>", html) == [*headings, "Configuration"]
-    assert len(cards) == 4  # two worst, then two best
-    assert "error 47.50°</b> (46.25° symmetry-aware)" in html
-    assert "gave &lt;up&gt;" in html
-    assert "&lt;abc&gt;" in html
-    assert cards[0] == cards[3] != cards[1] == cards[2]
-
-    def panels(card: str) -> list[np.ndarray]:
-        pixels = decoded(card)
-        step = (pixels.shape[1] - 240) // 2
-        return [pixels[-240:, left : left + 240] for left in (0, step, 2 * step)]
-
-    start, goal, rotated = panels(cards[1])
-    assert np.abs(rotated - goal).mean() < 0.15 * np.abs(start - goal).mean()
-    start, goal, rotated = panels(cards[0])  # no rotation: the start without its occluder
-    assert np.abs(rotated - start).mean() < 0.5 * np.abs(rotated - goal).mean()
-
-
-def test_report_shows_overlap_and_confidence_where_they_are_known(tmp_path):
-    write_config(tmp_path, Evaluation(ObjectSource(meshes=tmp_path / "gone"), ("default",)))
-    rows = [row(x, estimator="default", confidence=1 - x / 10, overlap=x / 10) for x in range(10)]
-    html = write_report(write_rows(tmp_path, rows)).read_text()
-    headings = re.findall("<h2>(.*?)</h2>", html)
-    assert headings[:3] == ["Results", "By overlap of the views", "Calibration of the confidence"]
-    assert '<td class="word">25–50%</td>' in html
-    assert len(set(pictures_of(html))) == 4
-
-
-def test_report_stands_without_the_meshes(tmp_path):
-    write_config(tmp_path, Evaluation(ObjectSource(meshes=tmp_path / "gone"), ("gicp",)))
-    rows = [row(x / 3, noise_mm=x % 2, angle_deg=x, object=f"o{x}", estimator=f"new{x % 3 % 2}") for x in range(30)]
-    html = write_report(write_rows(tmp_path, rows)).read_text()
-    assert len(set(pictures_of(html))) == 3
-    assert html.count("no picture: no folder") == 16
+# --- figures --------------------------------------------------------------------------------------------------------
 
 
 def test_histograms_hold_every_pair_of_each_estimator_and_panel(rows):
@@ -321,77 +242,3 @@ def test_histograms_hold_every_pair_of_each_estimator_and_panel(rows):
         assert np.allclose(np.diff(np.log(edges)), np.log(edges[1] / edges[0]))
     share, edges, _ = outlines[0][0].get_data()  # gicp without noise, 0–30°: 0 to 9, 140 and 180
     assert share[edges[:-1] > 9].sum() == pytest.approx(2 / 12)
-
-
-@pytest.fixture(scope="module")
-def loop() -> tuple[DepthImage, OrientResult, list[float]]:
-    """Four moves of the share 0.6, ended by the limit."""
-    rng = np.random.default_rng(3)
-    mesh = ObjectSource(count=5).open().load("generated-0-000004")
-    station = RenderedStation(mesh, load_world("benchmark"), randomised(), rng)
-    goal, R_goal = station.capture_goal(), station.R_camera_object
-    station.R_camera_object = so3.exp(np.radians([0.0, 24.0, 32.0])) @ R_goal
-    errors_deg = [40.0]
-
-    def follow(step: object) -> None:
-        errors_deg.append(float(np.degrees(so3.angle_difference(R_goal, station.R_camera_object))))
-
-    strategy = Algorithm1(max_images=4, eta=0.6)
-    return goal, orient(station, goal, load_estimator("gicp"), strategy, subscribers=[follow]), errors_deg
-
-
-def test_loop_is_drawn(tmp_path, loop):
-    goal, result, errors_deg = loop
-    gif, page = write_loop(tmp_path, goal, result, errors_deg, "A <chair>")
-    assert (gif, page) == (tmp_path / "loop.gif", tmp_path / "loop.html")
-    with Image.open(gif) as animation:
-        assert animation.n_frames == len(result.steps) == 4
-        assert animation.size[0] == 3 * 256 + 2 * 4
-        first = np.asarray(animation.convert("RGB"), float)
-        animation.seek(3)
-        last = np.asarray(animation.convert("RGB"), float)
-    goals, currents = slice(0, 256), slice(260, 516)
-    assert np.abs(first[:, goals] - last[:, goals]).mean() < 0.5
-    away, there = (np.abs(frame[30:, goals] - frame[30:, currents]).mean() for frame in (first, last))
-    assert there < 0.7 * away
-    html = page.read_text()
-    stills, curve = pictures_of(html)
-    assert curve.startswith("data:image/svg")
-    start, middle, end = (decoded(stills)[-352:, left : left + 352] for left in (0, 357, 714))
-    assert np.abs(end - middle).mean() < 0.7 * np.abs(start - middle).mean()
-    assert "<title>A &lt;chair&gt;</title>" in html
-    assert "Max images after 4 moves: limit of 4 images." in html
-    assert f"The true remaining angle went from 40.00 to {errors_deg[-1]:.2f} deg." in html
-    assert html.count("<tr>") == 1 + 4
-    seen_deg = np.degrees(result.steps[0].estimate.angle_rad)
-    assert f"<td>0</td><td>{seen_deg:.2f}°</td><td>40.00°</td><td>{0.6 * seen_deg:.2f}°</td>" in html
-
-
-def test_loop_without_the_truth(tmp_path, loop):
-    goal, result, _ = loop
-    _, page = write_loop(tmp_path, goal, result, [], "robot")
-    html = page.read_text()
-    assert "true" not in html
-    assert len(pictures_of(html)) == 2
-
-
-def test_loop_refuses(tmp_path, loop):
-    goal, result, errors_deg = loop
-    with pytest.raises(ReorientError, match="3 errors for 4 steps: expected one for each image, or none"):
-        write_loop(tmp_path, goal, result, errors_deg[:3], "")
-    with pytest.raises(ReorientError, match=r"without a step \(no camera\)"):
-        write_loop(tmp_path, goal, OrientResult((), "station_failed", "no camera"), [], "")
-    with pytest.raises(ReorientError, match="existing folder"):
-        write_loop(tmp_path / "gone", goal, result, errors_deg, "")
-    assert not list(tmp_path.iterdir())
-
-
-def test_evidence_in_words(loop):
-    evidence = replace(loop[1].steps[0].estimate.evidence, converged=False)
-    violations = evidence.free_space_violation + evidence.silhouette_violation
-    assert evidence_in_words(evidence) == (
-        f"inliers {format_share(evidence.inlier_ratio)} ({format_share(evidence.covisible_inlier_ratio)} of co-visible "
-        f"points), violations {format_share(violations)}, occluded {format_share(evidence.occluded)}, residual "
-        f"{1000 * evidence.residual_m:.1f} mm; registration not converged"
-    )
-    assert "residual - mm" in evidence_in_words(Evidence(0.0, 0.3, 0.7, 0.0, float("nan")))

@@ -7,6 +7,7 @@ from reorient.cli.arguments import Positional
 from reorient.cli.progress import show_progress
 from reorient.experiments.cell import run
 from reorient.experiments.cell_trials import Experiment
+from reorient.formatting import FigureFormat
 from reorient.runs.pool import Pool
 
 
@@ -26,12 +27,16 @@ class Cell:
     """Folder for config.json, rows.csv.gz, masks.csv.gz, report.html and cell.gif."""
     config: Experiment = field(default_factory=Experiment)
     pool: Pool = field(default_factory=Pool)
+    format: FigureFormat | None = None
+    """Write the figures for a paper, too."""
 
     def run(self) -> None:
         """Run all trials, print the summary, write the page and the animation."""
-        from reorient.reporting.cell import print_summary, write_cell_report
+        from reorient.reporting.cell import print_summary, write_cell_figures, write_cell_report
 
         show_progress("trials", run(self.config, self.out, self.pool))
         print_summary(self.out)
         for path in write_cell_report(self.config, self.out):
             print(path)
+        if self.format is not None:
+            print(*write_cell_figures(self.out, self.format), sep="\n")

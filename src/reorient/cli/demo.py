@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from reorient.cli.robot import print_outcome
+from reorient.cli.outputs import print_outcome
 from reorient.cli.stations import StationChoice, rotate_away
 from reorient.errors import check_range
+from reorient.formatting import FigureFormat
 from reorient.runs.files import make_folder
 
 
@@ -36,6 +37,8 @@ class Demo:
     or your own module:Class."""
     seed: int = 0
     """Seed of the poses and the noise."""
+    format: FigureFormat | None = None
+    """Write the curve of the remaining angle as a figure for a paper, too."""
 
     def __post_init__(self) -> None:
         """Raises ReorientError for values out of range."""
@@ -64,6 +67,6 @@ class Demo:
         result = orient(station, goal, estimator, subscribers=[show])
         code = print_outcome(result)
         title = f"Generated object {self.object_index}, {self.start_deg:g} degrees from the goal"
-        for path in write_loop(self.out, goal, result, errors_deg, title):
+        for path in write_loop(self.out, goal, result, errors_deg, title, self.format):
             print(path)
         return code

@@ -16,6 +16,7 @@ from reorient.plugins import in_one_line
 
 if TYPE_CHECKING:
     from reorient.estimators.base import RotationEstimate
+    from reorient.imaging import DepthImage
     from reorient.registration import Evidence
 
 
@@ -47,7 +48,7 @@ class Estimate:
     show_input: Path | None = None
     """Draw both frames with the isolated object, removed returns and unknown pixels (.png, .jpg)."""
     explain: Path | None = None
-    """Draw both images and the evidence for the estimate (.png, .jpg)."""
+    """Draw both images and the evidence for the estimate (.png, .jpg), or show them in 3D on a page (.html)."""
 
     def run(self) -> None:
         """Read, isolate, estimate, print, draw."""
@@ -55,7 +56,8 @@ class Estimate:
         from reorient.estimators.base import as_estimate
         from reorient.imaging.summary import Summary, pair_warnings
 
-        for path in (self.show_input, self.explain):
+        as_page = self.explain is not None and self.explain.suffix.lower() == ".html"
+        for path in (self.show_input, None if as_page else self.explain):
             if path is not None:
                 from reorient.reporting.pictures import check_suffix
 
@@ -68,11 +70,7 @@ class Estimate:
             answer = estimator.estimate(current, inputs[1].goal, pivot_m)
             estimate = as_estimate(answer, current, goal)
         if self.explain is not None:
-            from reorient.reporting.explaining import picture
-            from reorient.runs.files import replacing
-
-            with replacing(self.explain) as temporary:
-                picture(current, goal, estimate).save(temporary)
+            self._explain(self.explain, current, goal, estimate)
         summaries = {each.name: Summary.of(each.isolated) for each in inputs}
         for warning in (*pair_warnings(*summaries.values()), *estimate.warnings):
             print(f"reorient: warning: {warning}", file=sys.stderr)
@@ -81,6 +79,19 @@ class Estimate:
         else:
             print("\n".join(f"{name:13s} {summary}" for name, summary in summaries.items()))
             print(in_words(estimate))
+
+    def _explain(self, path: Path, current: "DepthImage", goal: "DepthImage", estimate: "RotationEstimate") -> None:
+        """Write the picture or the page."""
+        if path.suffix.lower() == ".html":
+            from reorient.reporting.loop import write_estimate
+
+            write_estimate(path, current, goal, estimate, f"{self.current.name} to {self.goal.name}")
+            return
+        from reorient.reporting.explaining import picture
+        from reorient.runs.files import replacing
+
+        with replacing(path) as temporary:
+            picture(current, goal, estimate).save(temporary)
 
 
 def as_data(estimate: "RotationEstimate") -> dict[str, Any]:

@@ -7,8 +7,9 @@ from typing import Annotated
 
 from reorient.cli.arguments import Metavar, Positional
 from reorient.cli.progress import show_progress, table_console
-from reorient.errors import ReorientError
+from reorient.errors import ReorientError, check_range
 from reorient.experiments.evaluation import Evaluation, evaluate
+from reorient.formatting import FigureFormat
 from reorient.runs.pool import Pool
 
 
@@ -95,17 +96,36 @@ class Evaluate:
 class Report:
     """Write an HTML page of an evaluation.
 
-    The page is self-contained: error against angle, histograms, best and worst pairs.
+    The page is self-contained: tables, charts that can be filtered, whose marks open their pair in 3D, best and worst
+    pairs, reliability.
 
     Examples:
         reorient report out/eval
+        reorient report out/eval --format pdf
+        reorient report out/eval --pair 17
     """
 
     folder: Positional[Path]
     """Folder of ``reorient evaluate``."""
+    pairs: int = 200
+    """Number of pairs that the page shows in 3D, the best and worst ones first; a page has room for several hundred."""
+    pair: int | None = None
+    """Write the page of this pair alone, by the number that the page of the evaluation gives."""
+    format: FigureFormat | None = None
+    """Write the figures for a paper, too."""
+
+    def __post_init__(self) -> None:
+        """Raises ReorientError for values out of range."""
+        check_range(self, "pairs", low=1)
+        check_range(self, "pair")
 
     def run(self) -> None:
         """Write report.html beside the rows."""
-        from reorient.reporting import write_report
+        from reorient.reporting.report import write_figures, write_pair, write_report
 
-        print(write_report(self.folder))
+        if self.pair is not None:
+            print(write_pair(self.folder, self.pair))
+            return
+        print(write_report(self.folder, self.pairs))
+        if self.format is not None:
+            print(*write_figures(self.folder, self.format), sep="\n")

@@ -11,6 +11,7 @@ import numpy as np
 from reorient.cli.arguments import Metavar, Positional
 from reorient.cli.isolating import GoalFrame
 from reorient.cli.stations import StationChoice
+from reorient.cli.viewing import ViewOptions
 from reorient.errors import ReorientError, check_range
 from reorient.formatting import format_probability
 
@@ -137,6 +138,9 @@ class Guide:
     """CSV file to which a line for each object is appended: date, start angle, time to match, final angle."""
     name: str = ""
     """Name of the objects in the log."""
+    view: bool = False
+    """Show in a browser how to rotate the object."""
+    view_options: ViewOptions = field(default_factory=ViewOptions)
 
     def __post_init__(self) -> None:
         """Raises ReorientError for values out of range."""
@@ -151,16 +155,21 @@ class Guide:
         from reorient.estimators.tracking import Tracker
 
         log = GuideLog(self.log, self.name)
-        tracker = Tracker(load_estimator(self.estimator), self.frames.read(self.goal, goal=True).isolated)
+        goal = self.frames.read(self.goal, goal=True).isolated
+        tracker = Tracker(load_estimator(self.estimator), goal)
         frames, hand = self.choice.frames(self.frames.isolation() if self.isolate_station else None)
         limit_s = self.timeout_s or (HAND_S if hand else float("inf"))
         states = guiding.Guide(tracker, self.options.guidance()).states(frames)
-        with Terminal(self.options.tolerance_deg) as terminal:
-            subscribers: list[GuideSubscriber] = [terminal, log, *([hand] if hand else [])]
+        tolerance_deg = self.options.tolerance_deg
+        view = self.view_options.guide(goal, f"Guide to {self.goal.name}", tolerance_deg) if self.view else None
+        with Terminal(tolerance_deg) as terminal:
+            subscribers: list[GuideSubscriber] = [terminal, log, *([hand] if hand else []), *([view] if view else [])]
             try:
                 _follow(states, subscribers, log, self.parts, limit_s)
             finally:
                 log.finish()
+                if view is not None:
+                    view.close()
         return _print_outcome(log, self.parts)
 
 

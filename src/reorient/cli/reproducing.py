@@ -7,6 +7,7 @@ from typing import Annotated
 from reorient.cli.arguments import Metavar, Positional
 from reorient.cli.progress import show_progress
 from reorient.errors import ReorientError
+from reorient.formatting import FigureFormat
 from reorient.reproducing import NAMES, Name
 from reorient.runs.pool import Pool
 
@@ -39,6 +40,8 @@ class Reproduce:
     """Folder of household meshes for the figure sweeps, by default generated objects that no network was trained on."""
     only: Path | None = None
     """File with the names of the household meshes to use."""
+    format: FigureFormat = "png"
+    """Format of the figures."""
     pool: Pool = field(default_factory=lambda: Pool(-1))
 
     def run(self) -> None:
@@ -50,6 +53,8 @@ class Reproduce:
         from reorient.reproducing.setting import Setting
 
         share = 0.1 if self.quick else 1.0
-        setting = Setting(self.data, self.out, self.lists, self.meshes, self.only, share, self.pool, show_progress)
+        setting = Setting(
+            self.data, self.out, self.lists, self.meshes, self.only, share, self.format, self.pool, show_progress
+        )
         for name in NAMES if self.name is None else (self.name,):
             reproduce(load_figure(name), setting)

@@ -1,7 +1,7 @@
 """The verbs of the closed loop: orient, replay."""
 
 import shutil
-import sys
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,19 +10,19 @@ import numpy as np
 
 from reorient import __version__
 from reorient.cli.arguments import Positional
-from reorient.cli.estimating import confidence_in_words
 from reorient.cli.isolating import GoalFrame
 from reorient.cli.limits import LimitChoice
+from reorient.cli.outputs import LoopOutputs, print_outcome
 from reorient.cli.stations import StationChoice
+from reorient.cli.viewing import ViewOptions, base_in_camera
 from reorient.errors import ReorientError, check_range
-from reorient.runs.files import make_folder
 
 if TYPE_CHECKING:
     from reorient.controller import Limits, OrientResult, Step, Strategy
-    from reorient.imaging import Goal
+    from reorient.imaging import DepthImage, Goal
     from reorient.stations.replay import ReplayedStation
+    from reorient.viewing.viewer import Viewer
 
-EXIT_CODES = {"converged": 0, "dry_run": 0, "interrupted": 130}  # of the other statuses: 1
 _OWNERS = {"eta": ("algorithm1",), "delta_deg": ("algorithm1", "direct")}  # options that not every strategy has
 
 
@@ -66,6 +66,32 @@ class StrategyChoice:
         return load_strategy("algorithm1", **settings)
 
 
+@dataclass(frozen=True, eq=False)
+class _Loop:
+    """All that a loop needs."""
+
+    station: Any
+    goal: "Goal"
+    estimator: Any
+    strategy: "Strategy | None"
+    limits: "Limits"
+    translation: bool
+
+    def run(self, subscribers: Sequence[Any] = ()) -> "OrientResult":
+        """Close it."""
+        from reorient.controller import orient
+
+        return orient(
+            self.station,
+            self.goal,
+            self.estimator,
+            self.strategy,
+            limits=self.limits,
+            subscribers=subscribers,
+            translation=self.translation,
+        )
+
+
 @dataclass(frozen=True)
 class Orient:
     """Rotate the object at a station until it matches the goal image.
@@ -93,8 +119,10 @@ class Orient:
     limit_choice: LimitChoice = field(default_factory=LimitChoice)
     record: Path | None = None
     """New folder for a recording of all images and moves, which ``reorient replay`` reads."""
-    out: Path | None = None
-    """Folder for a page and a GIF of the run."""
+    outputs: LoopOutputs = field(default_factory=LoopOutputs)
+    view: bool = False
+    """Show the running loop in 3D in a browser. Closing the browser changes nothing."""
+    view_options: ViewOptions = field(default_factory=ViewOptions)
 
     def run(self) -> int:
         """Close the loop; the exit code."""
@@ -107,8 +135,7 @@ class Orient:
         strategy, limits = self.strategy_choice.load(), chosen.limits()
         self.choice.check()
         goal, estimator = self.frames.read(self.goal, goal=True).goal, load_estimator(self.estimator)
-        if self.out is not None:
-            make_folder(self.out)
+        self.outputs.check()
         station = self.choice.open()
         if self.isolate_station:
             station = IsolatedStation(station, self.frames.isolation())
@@ -126,9 +153,10 @@ class Orient:
             station = RecordingStation(station, self.record, goal, about)
             if weights:
                 shutil.copy(weights, self.record)
-        return _close_loop(
-            station, goal, estimator, strategy, limits, self.out, f"Station {self.choice.station}", self.translation
-        )
+        title = f"Station {self.choice.station}"
+        viewer = self.view_options.open(goal.image, title, base_in_camera(station)) if self.view else None
+        loop = _Loop(station, goal, estimator, strategy, limits, self.translation)
+        return _close_loop(loop, self.outputs, title, viewer)
 
 
 @dataclass(frozen=True)
@@ -147,11 +175,20 @@ class Replay:
     """Folder that ``reorient orient --record`` wrote."""
     estimator: str | None = None
     """Estimator in place of the recorded one, as for ``orient``."""
-    out: Path | None = None
-    """Folder for a page and a GIF of the run."""
+    outputs: LoopOutputs = field(default_factory=LoopOutputs)
 
     def run(self) -> int:
         """Close the loop on the recording; the exit code, as of ``orient``."""
+        self.outputs.check()
+        return _close_loop(self._loop(), self.outputs, f"Record {self.record.name}")
+
+    def result(self) -> "tuple[DepthImage, OrientResult]":
+        """The goal's primary view and the loop, run in silence."""
+        loop = self._loop()
+        return loop.goal.image, loop.run()
+
+    def _loop(self) -> "_Loop":
+        """Raises ReorientError for a record without valid settings."""
         from reorient.estimators import load_estimator
         from reorient.stations.replay import ReplayedStation
 
@@ -164,11 +201,8 @@ class Replay:
             raise ReorientError(
                 f"{str(self.record)!r} lacks valid settings ({error}): expected a folder of `reorient orient --record`"
             ) from error
-        estimator = load_estimator(estimator_name)
-        if self.out is not None:
-            make_folder(self.out)
-        title, translation = f"Record {self.record.name}", bool(station.record.get("translation", False))
-        return _close_loop(station, station.goal(), estimator, strategy, limits, self.out, title, translation)
+        translation = bool(station.record.get("translation", False))
+        return _Loop(station, station.goal(), load_estimator(estimator_name), strategy, limits, translation)
 
     def _recorded_estimator(self, station: "ReplayedStation") -> str:
         """The estimator that the record names: of the package, or weights within the record."""
@@ -183,22 +217,6 @@ class Replay:
         return name
 
 
-def print_outcome(result: "OrientResult") -> int:
-    """Print how a loop ended; the exit code."""
-    code = EXIT_CODES.get(result.status, 1)
-    for error in result.errors:
-        print(f"error during the loop: {error}")
-    moves = f"{result.moves} move" + "s" * (result.moves != 1)
-    if result.converged:
-        place = "" if result.distance_m is None else f", {1000 * result.distance_m:.1f} mm from the goal's place"
-        print(f"converged after {moves}{place}, confidence {confidence_in_words(result.confidence)}")
-    elif code:
-        print(f"reorient: not converged after {moves} ({result.status}): {result.reason}", file=sys.stderr)
-    else:
-        print(result.reason)
-    return code
-
-
 class _Printer:
     """A subscriber that prints each decision before the move is made."""
 
@@ -210,28 +228,17 @@ class _Printer:
         """Nothing: errors are printed at the end."""
 
 
-def _close_loop(
-    station: Any,
-    goal: "Goal",
-    estimator: Any,
-    strategy: "Strategy | None",
-    limits: "Limits",
-    out: Path | None,
-    title: str,
-    translation: bool,
-) -> int:
-    """Run the loop, print its decisions and its outcome, write its page; the exit code."""
-    from reorient.controller import orient
-    from reorient.reporting import write_loop
+def _close_loop(loop: _Loop, outputs: LoopOutputs, title: str, viewer: "Viewer | None" = None) -> int:
+    """Run the loop, print its decisions and its outcome, write what is asked for; the exit code."""
     from reorient.stations.replay import RecordingStation
 
-    result = orient(
-        station, goal, estimator, strategy, limits=limits, subscribers=[_Printer()], translation=translation
-    )
-    if isinstance(station, RecordingStation):
-        station.finish(result)
+    subscribers: list[Any] = [_Printer(), *([] if viewer is None else [viewer])]
+    result = loop.run(subscribers)
+    if isinstance(loop.station, RecordingStation):
+        loop.station.finish(result)
     code = print_outcome(result)
-    if out is not None and result.steps:
-        for path in write_loop(out, goal.image, result, [], title):
-            print(path)
+    outputs.write(loop.goal.image, result, [], title)
+    if viewer is not None:
+        viewer.wait()
+        viewer.close()
     return code

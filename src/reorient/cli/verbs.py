@@ -54,6 +54,7 @@ GROUPS = {
             "Guide a person who rotates the object by hand until it matches the goal image.",
         ),
         "replay": Verb("robot:Replay", "Run a recorded loop again, without its station."),
+        "view": Verb("viewing:View", "Show a record, or a live station, in 3D in a browser."),
     },
     "measure": {
         "evaluate": Verb(

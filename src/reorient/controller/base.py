@@ -53,6 +53,9 @@ class Step:
     """Whether the move was undone, as no observation was possible after it; ``R_executed`` is then of both moves."""
     phase: str = ""
     """The strategy's phase that made the decision."""
+    hypotheses: tuple[tuple[Float[np.ndarray, "3 3"], float], ...] = ()
+    """What the strategy believes by now: remaining rotations to the goal, the likeliest first, each with its log-odds;
+    empty for a strategy without such a belief."""
 
     @property
     def moves(self) -> int:

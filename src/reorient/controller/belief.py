@@ -109,6 +109,11 @@ class Belief:
         """All hypotheses, the likeliest first."""
         return hypotheses_of(self.viewpoints, self.settings)
 
+    @property
+    def hypotheses_now(self) -> tuple[tuple[Float[np.ndarray, "3 3"], float], ...]:
+        """The remaining rotation to each hypothesis from the present viewpoint, and its log-odds."""
+        return tuple((self.R_goal_now(x), x.log_odds) for x in self.hypotheses)
+
     def tested_viewpoints_at(self, hypothesis: Hypothesis) -> list[Viewpoint]:
         """The viewpoints at a hypothesis that have an arrival test."""
         return [x for x in self.viewpoints if x.arrival is not None and is_at(hypothesis, x, self.settings)]

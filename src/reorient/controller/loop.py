@@ -168,7 +168,8 @@ class _Loop:
             decision = self.strategy.decide(self.belief, self.session.reachable)
         except USER_ERRORS as error:  # it may be the user's own; the record must survive it
             raise _Ended("strategy_failed", f"the strategy failed: {in_words(error)}") from error
-        self.steps[-1] = replace(self.steps[-1], message=decision.message, phase=decision.phase)
+        believed = getattr(self.belief, "hypotheses_now", ())
+        self.steps[-1] = replace(self.steps[-1], message=decision.message, phase=decision.phase, hypotheses=believed)
         return decision
 
     def check_motion(self) -> None:

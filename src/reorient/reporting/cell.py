@@ -18,17 +18,18 @@ from scipy.stats import binomtest
 from reorient.errors import ReorientError
 from reorient.experiments.cell import END
 from reorient.experiments.cell_trials import Experiment, close_loop, stage
+from reorient.formatting import FigureFormat
 from reorient.perception.segmentation import object_mask
+from reorient.reporting.loop import loop_data
 from reorient.reporting.loop_figures import error_by_image, errors_by_object, growing_curve
-from reorient.reporting.page import inline_image, page
-from reorient.reporting.pictures import depth_range, montage, png_data_uri, shade, show_mask, write_gif
+from reorient.reporting.page import inline_image, part, table, write_page
+from reorient.reporting.pictures import depth_range, framed, montage, png_data_uri, shade, show_mask, write_gif
 from reorient.reporting.rows import read_table
-from reorient.runs.files import replacing
+from reorient.reporting.style import write_figure
 
 PAPER_DEG = 4.2  # median of the paper's 50 physical trials
 _PAPER = "paper's physical cell, 4.2° (other objects)"
 _PANEL_PX, _FRAME_MS, _LAST_FRAME_MS = 300, 220, 2500
-_SHOWN = 6  # images of the shown loop
 _WAYS = {
     "shape": "by the gripper's shape",
     "shape_coloured": "by the gripper's shape, filled by the object's colour",
@@ -157,57 +158,80 @@ def write_cell_report(config: Experiment, folder: Path) -> tuple[Path, Path]:
     if not staged:
         raise ReorientError(f"no trial of {str(folder)!r} could be set up: expected starts within the arm's reach")
     names = list(dict.fromkeys(loop.object for loop in loops))
-    limits = list(dict.fromkeys(loop.range_deg for loop in staged))
-    systems = list(dict.fromkeys(loop.system for loop in staged))
-    by_image = {
-        f"start {_range(r)} away": {
-            s: [loop.errors_deg for loop in staged if (loop.range_deg, loop.system) == (r, s)] for s in systems
-        }
-        for r in limits
-    }
-    by_object = {
-        f"start {_range(r)} away": {
-            s: [
-                [loop.errors_deg[-1] for loop in staged if (loop.range_deg, loop.system, loop.object) == (r, s, name)]
-                for name in names
-            ]
-            for s in systems
-        }
-        for r in limits
-    }
-    short = [name.rsplit("_", 1)[0].split("__")[-1] for name in names]
     # of the first trial the system with most moves
     first = [loop for loop in staged if (loop.object, loop.trial, loop.range_deg) == _trial(staged[0])]
     shown = max(first, key=lambda loop: loop.moves)
-    gif, images, masks = _show(config, shown, folder)
+    gif, loop, masks = _show(config, shown, folder)
     notes = "".join(f'<p class="note">{escape(x)}</p>' for x in [*mask_summary(folder), *_not_staged(loops)])
     animation = "data:image/gif;base64," + base64.b64encode(gif.read_bytes()).decode()
+    arm = inline_image(animation, "animation: the arm rotates the object to its goal", _caption(shown), kind="dark")
     sections = {
-        "Final errors": _html_table(HEADINGS, summary(loops)) + notes,
-        "Error against iteration": inline_image(error_by_image(by_image, PAPER_DEG, _PAPER), "error at each image"),
-        "Final errors by object": inline_image(
-            errors_by_object(by_object, short, PAPER_DEG, _PAPER), "final error of each trial by object"
-        ),
-        "Images at intermediate iterations": inline_image(images, "goal and images of one loop", dark=True),
-        "Masks": inline_image(masks, "the object in the last image, by each segmentation", _MASKS, dark=True)
+        "Final errors": table(HEADINGS, summary(loops), {0, 1}, "final errors") + notes,
+        "Trials": part("trials", f"Choose a mark to see the course of its trial. Dotted: {_PAPER}."),
+        "One loop in 3D": part("view", f"{shown.object}, trial {shown.trial}, {shown.system}."),
+        "Its remaining angle": part("curve"),
+        "Its images": part("images"),
+        "Masks": inline_image(masks, "the object in the last image, by each segmentation", _MASKS, kind="dark")
         if masks
         else "<p>The object is not visible at the end of that loop.</p>",
-        "The arm": inline_image(animation, "the arm rotates the object to its goal", _caption(shown), dark=True),
+        "The arm": f"<details><summary>show</summary>{arm}</details>",
     }
-    html = folder / "report.html"
     lead = (
         f"{len(names)} objects, {len({_trial(loop) for loop in staged})} trials, in a simulated cell: a YuMi arm with "
         "servo errors and backlash, a structured-light depth camera and a colour camera, both with calibration errors. "
         f"Depth noise {config.noise_mm:g} mm; the gripper is removed by its {config.segmentation}. Errors from the "
         "true state."
     )
-    with replacing(html) as temporary:
-        temporary.write_text(page("Orienting held objects in a simulated cell", lead, sections), encoding="utf-8")
-    return html, gif
+    data = {"loop": loop, "cell": _trials(staged, names)}
+    title = "Orienting held objects in a simulated cell"
+    return write_page(folder / "report.html", title, lead, sections, data), gif
 
 
-def _show(config: Experiment, loop: Loop, folder: Path) -> tuple[Path, str, str]:
-    """Repeat a loop; its animation, and as data URIs a row of its images and the masks after its end."""
+def write_cell_figures(folder: Path, suffix: FigureFormat) -> list[Path]:
+    """Write the errors at each image and the final errors by object as figures for papers; returns their paths."""
+    staged = [loop for loop in read_loops(folder) if loop.errors_deg]
+    names = list(dict.fromkeys(loop.object for loop in staged))
+    limits = list(dict.fromkeys(loop.range_deg for loop in staged))
+    systems = list(dict.fromkeys(loop.system for loop in staged))
+
+    def errors(*cell: Any) -> list[Sequence[float]]:
+        return [loop.errors_deg for loop in staged if (loop.range_deg, loop.system, loop.object)[: len(cell)] == cell]
+
+    by_image = {f"start {_range(r)} away": {s: errors(r, s) for s in systems} for r in limits}
+    by_object = {
+        f"start {_range(r)} away": {
+            s: [[course[-1] for course in errors(r, s, name)] for name in names] for s in systems
+        }
+        for r in limits
+    }
+    short = [name.rsplit("_", 1)[0].split("__")[-1] for name in names]
+    drawn = {
+        "error-by-image": error_by_image(by_image, PAPER_DEG, _PAPER),
+        "errors-by-object": errors_by_object(by_object, short, PAPER_DEG, _PAPER),
+    }
+    return [write_figure(figure, folder / f"{name}.{suffix}") for name, figure in drawn.items()]
+
+
+def _trials(staged: Sequence[Loop], names: Sequence[str]) -> dict[str, Any]:
+    """The course of each trial, as JSON."""
+    systems = list(dict.fromkeys(loop.system for loop in staged))
+    trials = [
+        {
+            "object": names.index(loop.object),
+            "trial": loop.trial,
+            "range": _range(loop.range_deg),
+            "system": systems.index(loop.system),
+            "errors": [round(error, 4) for error in loop.errors_deg],
+            "moves": loop.moves,
+            "reason": loop.reason,
+        }
+        for loop in staged
+    ]
+    return {"systems": systems, "objects": list(names), "trials": trials, "level": PAPER_DEG}
+
+
+def _show(config: Experiment, loop: Loop, folder: Path) -> tuple[Path, dict[str, Any], str]:
+    """Repeat a loop; its animation, what the page shows of it, and as a data URI the masks after its end."""
     from reorient.stations.cell.scene import observer
 
     staged = stage(config, loop.object, loop.trial, loop.range_deg)
@@ -230,10 +254,8 @@ def _show(config: Experiment, loop: Loop, folder: Path) -> tuple[Path, str, str]
     ]
     gif = folder / "cell.gif"
     write_gif(gif, frames, _FRAME_MS, _LAST_FRAME_MS)
-    at = np.unique(np.linspace(0, len(seen) - 1, _SHOWN).round().astype(int))
-    labels = ["goal", *(f"image {i + 1}: {errors_deg[i]:.1f}°" for i in at)]
-    strip = montage([goal, *(seen[i] for i in at)], len(labels), labels)
-    return gif, png_data_uri(strip), _masks(staged.cell)
+    window = framed(images)
+    return gif, loop_data(window[0], window[1:], result, errors_deg), _masks(staged.cell)
 
 
 def _masks(cell: Any) -> str:
@@ -267,12 +289,3 @@ def _not_staged(loops: Sequence[Loop]) -> list[str]:
     return (
         [f"Excluded: {len(missing)} trials that could not be set up: {next(iter(missing.values()))}"] if missing else []
     )
-
-
-def _html_table(headings: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    def row(cells: Sequence[str], tag: str) -> str:
-        sides = [' class="word"' if index < 2 else "" for index in range(len(cells))]
-        return "<tr>" + "".join(f"<{tag}{s}>{escape(c)}</{tag}>" for s, c in zip(sides, cells, strict=True)) + "</tr>"
-
-    body = "".join(row(line, "td") for line in lines)
-    return f'<div class="wide"><table><thead>{row(headings, "th")}</thead><tbody>{body}</tbody></table></div>'

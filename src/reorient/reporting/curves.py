@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
@@ -12,7 +11,6 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from reorient.reporting.style import PAGE_INCHES, REFERENCE, STYLE, colours_of, legend
-from reorient.runs.files import replacing
 
 
 @dataclass(frozen=True)
@@ -97,9 +95,3 @@ def histograms(
             column[-1].set_xlabel(xlabel)
             column[-1].xaxis.set_major_formatter(_ticks(unit))
     return figure
-
-
-def write_png(figure: Figure, path: Path) -> None:
-    """Write the figure as PNG, 160 pixels per inch."""
-    with replacing(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=160, metadata={"Software": None})

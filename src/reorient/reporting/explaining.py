@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from reorient.estimators.base import RotationEstimate
@@ -14,34 +14,15 @@ from reorient.registration import (
     EVIDENCE_POINTS,
     DepthView,
     Evidence,
-    Warped,
     inlier_tolerance_m,
     warp_both,
 )
 from reorient.reporting.pictures import BACKGROUND, INK, depth_range, framed, montage, shade, text_mask
+from reorient.reporting.scenes import CLASSES, classes_of
 
 POINT = 1 / 50  # width of a point, of a panel
 DIMMED = 0.45  # brightness of the surface behind the points
 MARGIN = 0.12  # around the object, of its width, so that points beside it show
-
-
-@dataclass(frozen=True)
-class PointClass:
-    """One of the four things that a warped point is."""
-
-    label: str
-    share: str
-    """Field of ``Evidence`` that counts it."""
-    colour: tuple[int, int, int]
-    """From the palette of Okabe and Ito, which colour-blind people can distinguish."""
-
-
-CLASSES = (
-    PointClass("inlier", "inlier_ratio", (0, 158, 115)),
-    PointClass("free-space violation", "free_space_violation", (213, 94, 0)),
-    PointClass("silhouette violation", "silhouette_violation", (240, 228, 66)),
-    PointClass("occluded", "occluded", (0, 114, 178)),
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +33,7 @@ class Panel:
     """The image of the view."""
     points_m: Float[np.ndarray, "n 3"]
     """The points, camera axes of the view."""
-    classes: Int[np.ndarray, " n"]
+    classes: UInt8[np.ndarray, " n"]
     """Index of each point's class in ``CLASSES``."""
 
 
@@ -63,8 +44,8 @@ def classify(current: DepthImage, goal: DepthImage, estimate: RotationEstimate) 
     tolerance_m = inlier_tolerance_m(*views)
     in_goal, in_current = warp_both(*views, R, t_m, EVIDENCE_POINTS)
     return (
-        Panel(views[1].image, views[0].sample(EVIDENCE_POINTS).T @ R.T + t_m, _classes(in_goal, tolerance_m)),
-        Panel(views[0].image, (views[1].sample(EVIDENCE_POINTS).T - t_m) @ R, _classes(in_current, tolerance_m)),
+        Panel(views[1].image, views[0].sample(EVIDENCE_POINTS).T @ R.T + t_m, classes_of(in_goal, tolerance_m)),
+        Panel(views[0].image, (views[1].sample(EVIDENCE_POINTS).T - t_m) @ R, classes_of(in_current, tolerance_m)),
     )
 
 
@@ -81,15 +62,6 @@ def picture(current: DepthImage, goal: DepthImage, estimate: RotationEstimate, s
     labels = ["current", "goal", "current, rotated", "current's points in goal", "goal's points in current"]
     sheet = montage(panels, len(panels), labels)
     return _with_legend(sheet, estimate.evidence, size_px)
-
-
-def _classes(warped: Warped, tolerance_m: float) -> Int[np.ndarray, " n"]:
-    """The index of each point's class in ``CLASSES``."""
-    return np.select(
-        [warped.inlier(tolerance_m), warped.free_space_violation(tolerance_m), warped.silhouette_violation()],
-        [0, 1, 2],
-        3,
-    )
 
 
 def _moved(points_m: Float[np.ndarray, "n 3"], goal: DepthImage) -> DepthImage:

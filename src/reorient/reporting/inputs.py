@@ -36,7 +36,7 @@ def picture(frames: Sequence[tuple[str, DepthImage, DepthImage]]) -> Image.Image
 
 
 def _column(title: str, raw: DepthImage, isolated: DepthImage) -> Image.Image:
-    whole = Image.fromarray(_coloured(raw, isolated))
+    whole = Image.fromarray(coloured(raw, isolated))
     rows, columns = np.nonzero(isolated.valid)
     half = (0.5 + _MARGIN) * max(np.ptp(rows), np.ptp(columns)) + 4
     middle = (rows.min() + rows.max()) / 2, (columns.min() + columns.max()) / 2
@@ -52,13 +52,15 @@ def _column(title: str, raw: DepthImage, isolated: DepthImage) -> Image.Image:
     return column
 
 
-def _coloured(raw: DepthImage, isolated: DepthImage) -> UInt8[np.ndarray, "height width 3"]:
+def coloured(raw: DepthImage, isolated: DepthImage | None) -> UInt8[np.ndarray, "height width 3"]:
+    """The raw frame in grey, the object green, unknown pixels orange; ``isolated`` None: no object was found."""
     near_m, far_m = depth_range([raw])
     grey = np.where(raw.valid, 190 - 140 * np.clip((raw.depth_m - near_m) / max(far_m - near_m, 1e-9), 0, 1), 0)
-    kept_near_m, kept_far_m = depth_range([isolated])
-    share = np.clip((raw.depth_m - kept_near_m) / max(kept_far_m - kept_near_m, 1e-9), 0, 1)
     colours = np.repeat(grey[..., None], 3, axis=2)
-    kept = isolated.valid
-    colours[kept] = np.array(KEPT) * (1.4 - 0.9 * share[kept, None])
-    colours[isolated.unknown] = np.array(UNKNOWN) * (0.6 + 0.4 * ~raw.valid[isolated.unknown, None])
+    if isolated is not None:
+        kept_near_m, kept_far_m = depth_range([isolated])
+        share = np.clip((raw.depth_m - kept_near_m) / max(kept_far_m - kept_near_m, 1e-9), 0, 1)
+        kept = isolated.valid
+        colours[kept] = np.array(KEPT) * (1.4 - 0.9 * share[kept, None])
+        colours[isolated.unknown] = np.array(UNKNOWN) * (0.6 + 0.4 * ~raw.valid[isolated.unknown, None])
     return np.asarray(np.clip(colours, 0, 255).astype(np.uint8))

@@ -21,25 +21,24 @@ from reorient.reporting.style import (
     colours_of,
     degrees,
     plain_decades,
-    svg,
     width_inches,
 )
 
-_TRUE, _PREDICTED = "#4a90d9", "#e08e1b"
+_TRUE, _PREDICTED = "#56b4e9", "#e69f00"  # of Okabe and Ito, on dark
 
 Panels = Mapping[str, Mapping[str, Sequence[Sequence[float]]]]
 """By title and system, lists of errors in degrees."""
 
 
-def loop_curve(predicted_deg: Sequence[float], true_deg: Sequence[float]) -> str:
-    """Remaining angle at each image of a loop, predicted and (where known) true: an SVG data URI."""
+def loop_curve(predicted_deg: Sequence[float], true_deg: Sequence[float]) -> Figure:
+    """Remaining angle at each image of a loop, predicted and (where known) true."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(PAGE_INCHES, 3.2))
         axes = figure.subplots()
         for line, values in zip(_loop_axes(axes, predicted_deg, true_deg), (predicted_deg, true_deg), strict=True):
             line.set_data(range(len(values)), values)
         axes.legend()
-        return svg(figure)
+        return figure
 
 
 def growing_curve(predicted_deg: Sequence[float], true_deg: Sequence[float], size_px: int) -> list[Image.Image]:
@@ -66,8 +65,8 @@ def growing_curve(predicted_deg: Sequence[float], true_deg: Sequence[float], siz
         return frames
 
 
-def error_by_image(panels: Panels, reference_deg: float, reference: str) -> str:
-    """Median and quartiles of the true error at each image of many loops, a panel for each title: an SVG data URI.
+def error_by_image(panels: Panels, reference_deg: float, reference: str) -> Figure:
+    """Median and quartiles of the true error at each image of many loops, a panel for each title.
 
     A loop that has ended keeps its last error. ``reference_deg``: a level to compare with, named in the legend.
     """
@@ -88,11 +87,11 @@ def error_by_image(panels: Panels, reference_deg: float, reference: str) -> str:
             plain_decades(axes)
         grid[0].set_ylabel("error (median, quartiles)")
         _legend(figure, styles, reference)
-        return svg(figure)
+        return figure
 
 
-def errors_by_object(panels: Panels, names: Sequence[str], reference_deg: float, reference: str) -> str:
-    """Final errors of all loops by object, the median as a bar: an SVG data URI.
+def errors_by_object(panels: Panels, names: Sequence[str], reference_deg: float, reference: str) -> Figure:
+    """Final errors of all loops by object, the median as a bar.
 
     ``panels``: by title and system, for each name the final errors.
     """
@@ -115,7 +114,7 @@ def errors_by_object(panels: Panels, names: Sequence[str], reference_deg: float,
             plain_decades(axes)
         grid[-1].set_xticks(range(len(names)), names)
         _legend(figure, styles, reference)
-        return svg(figure)
+        return figure
 
 
 def _line_styles(panels: Panels) -> dict[str, dict[str, Any]]:

@@ -1,53 +1,80 @@
-"""The frame of every page: one HTML file without external resources."""
+"""The frame of every page: one HTML file without external resources, and the data that its script shows."""
 
+import json
+from collections.abc import Container, Iterable, Mapping, Sequence
+from functools import cache
 from html import escape
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
 
-_STYLE = """
-:root { --ink: #20242c; --soft: #5b6270; --line: #e4e7ec; --accent: #2f6db5; }
-* { box-sizing: border-box; }
-body { margin: 0; background: #f6f7f9; color: var(--ink);
-  font: 15px/1.55 system-ui, "Segoe UI", Helvetica, Arial, sans-serif; }
-main { max-width: 1120px; margin: 0 auto; padding: 40px 28px 64px; }
-h1 { font-size: 27px; line-height: 1.2; margin: 0 0 6px; letter-spacing: -0.01em; }
-h2 { font-size: 18px; margin: 0 0 14px; }
-h3 { font-size: 14px; margin: 22px 0 10px; color: var(--soft); font-weight: 600; }
-.lead { color: var(--soft); margin: 0 0 26px; font-size: 16px; }
-section { background: #fff; border: 1px solid var(--line); border-radius: 10px; padding: 22px 24px; margin: 0 0 20px; }
-.wide { overflow-x: auto; }
-table { border-collapse: collapse; width: 100%; font-size: 13.5px; font-variant-numeric: tabular-nums; }
-th, td { padding: 6px 10px; text-align: right; white-space: nowrap; }
-th { color: var(--soft); font-weight: 600; border-bottom: 2px solid var(--line); }
-th.word, td.word { text-align: left; }
-td.word { white-space: normal; min-width: 12em; }
-tr.begins td { border-top: 1px solid var(--line); }
-tbody tr:hover td { background-color: #f2f6fb; }
-td.bar { background-image: linear-gradient(#d7e6f7, #d7e6f7); background-repeat: no-repeat;
-  background-position: 0 center; background-size: var(--share) 72%; }
-.note { color: var(--soft); font-size: 13px; margin: 12px 0 0; }
-img { display: block; max-width: 100%; height: auto; }
-.cards { display: grid; grid-template-columns: repeat(auto-fill, minmax(440px, 1fr)); gap: 16px; }
-figure { margin: 0; }
-figure.dark img { border-radius: 8px; }
-figcaption { font-size: 13px; color: var(--soft); padding: 7px 2px 0; }
-figcaption b { color: var(--ink); }
-pre { margin: 0; font: 12.5px/1.5 ui-monospace, Menlo, Consolas, monospace;
-  white-space: pre-wrap; overflow-wrap: anywhere; }
-"""
+from reorient.runs.files import replacing
+
+_SCRIPTS = ("three.min.js", "images.js", "view3d.js", "charts.js", "page.js")
+_NO_SCRIPT = "The 3D view and the charts of this page need JavaScript. The texts and tables do not."
 
 
-def page(title: str, lead: str, sections: dict[str, str]) -> str:
-    """A complete HTML document; title, lead and headings are text, the bodies of the sections HTML."""
+def page(title: str, lead: str, sections: Mapping[str, str], data: Mapping[str, Any] | None = None) -> str:
+    """A complete HTML document; title, lead and headings are text, the bodies of the sections HTML.
+
+    ``data``: what the script draws into the elements of ``part``, as JSON; None: a page without a script.
+    """
     body = "".join(f"<section><h2>{escape(heading)}</h2>{content}</section>\n" for heading, content in sections.items())
+    scripts = "" if data is None else f"<noscript><p>{_NO_SCRIPT}</p></noscript>{_scripts(data)}"
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(title)}</title><style>{_STYLE}</style></head>\n"
-        f'<body><main><h1>{escape(title)}</h1><p class="lead">{escape(lead)}</p>\n{body}</main></body></html>\n'
+        f"<title>{escape(title)}</title><style>{_web('page.css')}</style></head>\n"
+        f'<body><main><div class="top"><h1>{escape(title)}</h1></div><p class="lead">{escape(lead)}</p>\n'
+        f"{body}</main>{scripts}</body></html>\n"
     )
 
 
-def inline_image(data_uri: str, alt: str, caption: str = "", dark: bool = False) -> str:
-    """A figure with an embedded image. ``alt`` is text, ``caption`` HTML; ``dark``: for pictures, not charts."""
+def write_page(
+    path: Path, title: str, lead: str, sections: Mapping[str, str], data: Mapping[str, Any] | None = None
+) -> Path:
+    """Write ``page(...)`` to a file; returns its path. Raises ReorientError where it cannot be written."""
+    with replacing(path) as temporary:
+        temporary.write_text(page(title, lead, sections, data), encoding="utf-8")
+    return path
+
+
+def part(name: str, label: str = "") -> str:
+    """The place of a part that the script draws: view, curve, images, filter, charts, rows, pair or trials."""
+    kind = f' class="{name}"' if name in ("images", "charts") else ""
+    return f'{f"<p class=note>{escape(label)}</p>" if label else ""}<div data-part="{name}"{kind}></div>'
+
+
+def wide(table: str, label: str) -> str:
+    """A table (HTML) that scrolls by itself where it is too wide, by keyboard, too; ``label`` is text."""
+    return f'<div class="wide" tabindex="0" role="region" aria-label="{escape(label)}">{table}</div>'
+
+
+def table(headings: Sequence[str], lines: Iterable[Sequence[str]], words: Container[int], label: str) -> str:
+    """A table of texts; the columns ``words`` are set to the left, the others, numbers, to the right."""
+
+    def row(cells: Sequence[str], tag: str) -> str:
+        sides = [' class="word"' if index in words else "" for index in range(len(cells))]
+        return "<tr>" + "".join(f"<{tag}{s}>{escape(c)}</{tag}>" for s, c in zip(sides, cells, strict=True)) + "</tr>"
+
+    body = "".join(row(line, "td") for line in lines)
+    return wide(f"<table><thead>{row(headings, 'th')}</thead><tbody>{body}</tbody></table>", label)
+
+
+def inline_image(data_uri: str, alt: str, caption: str = "", kind: str = "plot") -> str:
+    """A figure with an embedded image. ``alt`` is text, ``caption`` HTML; ``kind``: dark for pictures, plot for charts
+    on white."""
     below = f"<figcaption>{caption}</figcaption>" if caption else ""
-    kind = ' class="dark"' if dark else ""
-    return f'<figure{kind}><img src="{data_uri}" alt="{escape(alt)}">{below}</figure>'
+    return f'<figure class="{kind}"><img src="{data_uri}" alt="{escape(alt)}">{below}</figure>'
+
+
+def _scripts(data: Mapping[str, Any]) -> str:
+    """The data, in which no text can end its element, and the scripts."""
+    text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    code = "".join(f"<script>{_web(name)}</script>\n" for name in _SCRIPTS)
+    return f'<script type="application/json" id="data">{text}</script>\n{code}'
+
+
+@cache
+def _web(name: str) -> str:
+    return files("reorient.reporting").joinpath("web", name).read_text(encoding="utf-8")

@@ -104,7 +104,13 @@ def framed(images: Sequence[DepthImage], margin: float = 0.08) -> list[DepthImag
         rows, columns = np.nonzero(seen.any(axis=1))[0], np.nonzero(seen.any(axis=0))[0]
         middle = (rows[0] + rows[-1] + 1) / 2, (columns[0] + columns[-1] + 1) / 2
         side = int(np.ceil(max(np.ptp(rows), np.ptp(columns)) * (1 + 2 * margin))) + 1
-        windows[camera] = (round(middle[1] - side / 2), round(middle[0] - side / 2), side, side)
+        corner = (round(middle[1] - side / 2), round(middle[0] - side / 2))
+        # inside the frame where it fits: beyond the frame all is unknown
+        left, top = (
+            int(np.clip(at, 0, most - side)) if side <= most else at
+            for at, most in zip(corner, (camera.width, camera.height), strict=True)
+        )
+        windows[camera] = (left, top, side, side)
     return [image.cropped(*windows[image.camera]) for image in images]
 
 

@@ -1,120 +1,159 @@
-"""An evaluation as one page: table, figures, the best and the worst pairs, the configuration."""
+"""An evaluation as one interactive page: tables, charts whose marks open their pair, the configuration; and figures."""
 
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
-from PIL import Image
 
-from reorient import so3
 from reorient.errors import ReorientError
-from reorient.experiments.evaluation import Evaluation, read_config, regenerate
-from reorient.imaging import DepthImage
+from reorient.experiments.evaluation import read_config
+from reorient.formatting import FigureFormat
 from reorient.reporting import figures, trust
-from reorient.reporting.page import inline_image, page
-from reorient.reporting.pictures import depth_range, framed, montage, png_data_uri, shade
+from reorient.reporting.page import part, write_page
+from reorient.reporting.pairs import cells_of, pair_data, pairs_data
 from reorient.reporting.rows import estimators, numbers, read_rows
-from reorient.reporting.style import svg
+from reorient.reporting.scenes import class_data
+from reorient.reporting.style import write_figure
 from reorient.reporting.tables import OVERLAP, html_table
-from reorient.runs.files import replacing
 from reorient.runs.run import Row
 
-_MAIN = 3  # number of estimators whose pairs are shown
-_SHOWN = 4  # number of best and of worst pairs shown
-_PANEL_PX = 240
-_BY_ANGLE = "Plain error in bins of the start angle; bins of fewer than five pairs are left out."
-_HISTOGRAMS = "Plain error in logarithmic bins, with a line at 5°; the first bin contains all smaller errors."
-_TRUST = (
-    "Left: the share of pairs within 5° (symmetry-aware) against the confidence, by tenths, with Wilson's 95% "
-    "interval; larger dots have more pairs. Right: the share of errors above 5° among the most confident estimates; "
-    "dotted: if the correct ones were the most confident."
+MOST_ROWS = 10_000  # in the charts; the tables are of all rows
+_PAIR = (
+    "The estimates of the table and of the charts open here. Rows have rotations only, so the object rotates about its "
+    "own origin."
 )
-_CUMULATIVE = "The line at 5° marks the share given in the table. Dashed: symmetry-aware error."
 
 
-def write_report(folder: str | Path) -> Path:
+def write_report(folder: str | Path, pairs: int = 200) -> Path:
     """Write ``report.html`` into the folder of an evaluation, with all images inside it; returns its path.
 
-    Raises ReorientError for a folder without a finished evaluation.
+    ``pairs``: how many pairs it shows in 3D, the best and worst ones first. Raises ReorientError for a folder without a
+    finished evaluation.
     """
     folder = Path(folder)
     rows, config = read_rows(folder), read_config(folder)
-    objects = len({row["object"] for row in rows})
+    try:
+        embedded, missing = pairs_data(rows, config, pairs), ""
+    except ReorientError as error:  # the meshes of an old run can be missing; its numbers are still valid
+        embedded, missing = {}, f'<p class="note">no images: {escape(str(error))}</p>'
     sections = {"Results": html_table(rows)}
     if any(row["overlap"] for row in rows):
         sections["By overlap of the views"] = html_table(rows, OVERLAP)
-    if sure := trust.confident(rows):
-        chart = _chart(trust.figure(sure), "reliability, risk and coverage", _TRUST)
-        sections["Calibration of the confidence"] = chart
+    shown = [rows[k] for k in np.unique(np.linspace(0, len(rows) - 1, MOST_ROWS).astype(int))]
     sections |= {
-        "Error against angle": _chart(figures.error_by_angle(rows), "error against the start angle", _BY_ANGLE),
-        "Error histograms": _chart(figures.error_histograms(rows), "histograms of the error", _HISTOGRAMS),
-        "Cumulative errors": _chart(figures.cumulative_errors(rows), "share of pairs below an error", _CUMULATIVE),
-        "Best and worst pairs": _pairs(rows, config),
+        "Filter": part("filter"),
+        "Charts": part("charts", _charts_note(rows, shown)),
+        "Pair": missing + part("pair", _PAIR),
+        "Best and worst estimates": part("rows"),
         "Configuration": f"<pre>{escape((folder / 'config.json').read_text())}</pre>",
     }
+    objects = len({row["object"] for row in rows})
     lead = (
         f"{len(rows):,} estimates of the rotation between two depth images: {len(estimators(rows))} estimators, "
         f"{objects:,} objects."
     )
-    path = folder / "report.html"
-    with replacing(path) as temporary:
-        temporary.write_text(page("Evaluation of rotation estimators", lead, sections), encoding="utf-8")
-    return path
+    data = _data(shown, cells_of(rows), rows, embedded, f"reorient report {folder}")
+    return write_page(folder / "report.html", "Evaluation of rotation estimators", lead, sections, {"evaluation": data})
 
 
-def _chart(figure: Figure, alt: str, caption: str) -> str:
-    return inline_image(svg(figure), alt, caption)
+def write_pair(folder: str | Path, number: int) -> Path:
+    """Write ``pair-NUMBER.html``, the page of one pair, into the folder of an evaluation; returns its path.
 
-
-def _pairs(rows: Sequence[Row], config: Evaluation) -> str:
-    """Cards of the pairs with the smallest and the largest symmetry-aware error, for the best few estimators."""
-    errors_deg = numbers(rows, "error_sym_deg")
-    names = np.array([row["estimator"] for row in rows])
-    ranked = sorted(estimators(rows), key=lambda name: -np.mean(errors_deg[names == name] < 5))
-    parts = []
-    for name in ranked[:_MAIN]:
-        mine = np.nonzero(names == name)[0]
-        order = mine[np.argsort(errors_deg[mine], kind="stable")]
-        for title, indices in (("worst", order[::-1]), ("best", order)):
-            by_object: dict[str, Row] = {}  # one pair of each object
-            for index in indices:
-                by_object.setdefault(rows[index]["object"], rows[index])
-            cards = [_card(row, config) for row in list(by_object.values())[:_SHOWN]]
-            parts.append(f'<h3>{escape(name)}: {title}</h3><div class="cards">{"".join(cards)}</div>')
-    return (
-        "<p class=note>By symmetry-aware error, one pair of each object. Third panel: the object in its start "
-        "orientation rotated by the estimate, rendered exactly from the mesh. It should equal the goal.</p>"
-        + "".join(parts)
-    )
-
-
-def _card(row: Row, config: Evaluation) -> str:
-    caption = (
-        f"<b>error {float(row['error_deg']):.2f}°</b> ({float(row['error_sym_deg']):.2f}° symmetry-aware) at "
-        f"{float(row['angle_deg']):.1f}°, noise {float(row['noise_mm']):g} mm<br>"
-        f"{escape(row['object'])}, pair {escape(row['pair'])}"
-    )
-    if row["message"]:
-        caption += f"<br>refused: {escape(row['message'])}"
-    try:
-        panels = three_panels(row, config)
-    except ReorientError as error:  # the meshes of an old run can be missing; its numbers are still valid
-        return f"<figure><figcaption>{caption}<br>no picture: {escape(str(error))}</figcaption></figure>"
-    picture = montage(panels, 3, ["start", "goal", "start rotated"])
-    return inline_image(png_data_uri(picture), f"start, goal and estimate of {row['object']}", caption, dark=True)
-
-
-def three_panels(row: Row, config: Evaluation) -> list[Image.Image]:
-    """Start, goal, and the start rotated by a row's estimate, rendered exactly from the mesh.
-
-    Raises ReorientError if the meshes are missing.
+    Raises ReorientError as ``write_report``, for a number without a pair, and where its meshes are missing.
     """
-    pair, renderer = regenerate(config, row)
-    R_est = so3.matrix_from_quat(so3.normalize(np.array([float(row[name]) for name in ("qw", "qx", "qy", "qz")])))
-    camera = pair.goal.camera
-    rotated = DepthImage(renderer.depth(camera, R_est @ pair.R_camera_object, pair.placement), camera)
-    images = framed([pair.current, pair.goal, rotated])
-    return [shade(image, _PANEL_PX, depth_range(images)) for image in images]
+    folder = Path(folder)
+    rows, config = read_rows(folder), read_config(folder)
+    cells = cells_of(rows)
+    mine = [row for row, cell in zip(rows, cells, strict=True) if cell == number]
+    if not mine:
+        raise ReorientError(f"no pair {number} in {str(folder)!r}: expected 0 to {max(cells)}")
+    embedded = {str(number): pair_data(mine, config, [row["estimator"] for row in mine])}
+    first = mine[0]
+    lead = (
+        f"Pair {first['pair']} of {first['object']}, {float(first['angle_deg']):.1f} degrees, {first['noise_mm']} mm."
+    )
+    sections = {"Pair": part("pair", _PAIR), "Filter": part("filter"), "Charts": part("charts")}
+    data = _data(mine, cells, rows, embedded, f"reorient report {folder}")
+    sections["Estimates"] = part("rows")
+    return write_page(folder / f"pair-{number}.html", f"Pair {number}", lead, sections, {"evaluation": data})
+
+
+def write_figures(folder: str | Path, suffix: FigureFormat) -> list[Path]:
+    """Write the figures of an evaluation into its folder, for papers; returns their paths.
+
+    Raises ReorientError as ``write_report``.
+    """
+    folder = Path(folder)
+    rows = read_rows(folder)
+    drawn = {
+        "error-by-angle": figures.error_by_angle(rows),
+        "error-histograms": figures.error_histograms(rows),
+        "cumulative-errors": figures.cumulative_errors(rows),
+    }
+    if sure := trust.confident(rows):
+        drawn["confidence"] = trust.figure(sure)
+    return [write_figure(figure, folder / f"{name}.{suffix}") for name, figure in drawn.items()]
+
+
+def _charts_note(rows: Sequence[Row], shown: Sequence[Row]) -> str:
+    part_of = "" if len(rows) == len(shown) else f" {len(shown):,} of the {len(rows):,} estimates, evenly spaced."
+    return f"Symmetry-aware errors; dotted: 5 degrees, the limit of a correct estimate.{part_of}"
+
+
+def _data(
+    shown: Sequence[Row], cells: Sequence[int], rows: Sequence[Row], embedded: dict[str, Any], command: str
+) -> dict[str, Any]:
+    """What the page shows, as JSON: the rows in columns, names by number."""
+    names = {
+        "object": sorted({row["object"] for row in shown}),
+        "estimator": estimators(shown),
+        "noise": sorted({f"{float(row['noise_mm']):g} mm" for row in shown}),
+    }
+    number_of = {key: {name: k for k, name in enumerate(known)} for key, known in names.items()}
+    cell_of = {id(row): cell for row, cell in zip(rows, cells, strict=True)}
+    columns = {
+        "object": [number_of["object"][row["object"]] for row in shown],
+        "estimator": [number_of["estimator"][row["estimator"]] for row in shown],
+        "noise": [number_of["noise"][f"{float(row['noise_mm']):g} mm"] for row in shown],
+        "pair": [int(row["pair"]) for row in shown],
+        "key": [cell_of[id(row)] for row in shown],
+        "message": [row["message"] for row in shown],
+        "confidence": [float(row["confidence"]) if row["confidence"] else None for row in shown],
+    }
+    for key, column in (("angle", "angle_deg"), ("plain", "error_deg"), ("error", "error_sym_deg")):
+        columns[key] = np.round(numbers(shown, column), 3).tolist()
+    return {
+        "columns": columns,
+        "names": names,
+        "pairs": embedded,
+        "classes": class_data(),
+        "bins": _reliability(rows, names["estimator"]),
+        "command": command,
+    }
+
+
+def _reliability(rows: Sequence[Row], names: Sequence[str]) -> list[list[dict[str, Any]]] | None:
+    """The bins of the reliability diagram of each estimator; None where no row has a confidence."""
+    sure = trust.confident(rows)
+    if not sure:
+        return None
+    found = []
+    for name in names:
+        mine = [row for row in sure if row["estimator"] == name]
+        bins = trust.reliability(*trust.confidence_and_correct(mine)) if mine else []
+        found.append(
+            [
+                {
+                    "low": one.low,
+                    "high": one.high,
+                    "n": one.n,
+                    "confidence": round(one.confidence, 4),
+                    "accuracy": one.accuracy,
+                    "interval": one.interval,
+                }
+                for one in bins
+            ]
+        )
+    return found

@@ -3,6 +3,7 @@
 import base64
 import io
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
@@ -11,9 +12,12 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-_KNOWN = {"paper": "#cc5a71", "icp": "#8d99ae", "gicp": "#2f6db5", "swift": "#1d9a6c", "default": "#e08e1b"}
+from reorient.runs.files import replacing
+
+# the palette of Okabe and Ito, which colour-blind people can distinguish
+_KNOWN = {"paper": "#cc79a7", "icp": "#56b4e9", "gicp": "#0072b2", "swift": "#009e73", "default": "#d55e00"}
 _KNOWN["rotation-search"] = _KNOWN["default"]
-_SPARE = ("#7b5ea7", "#17a2b8", "#a0522d", "#e377c2", "#6b7f1f", "#444b59")
+_SPARE = ("#e69f00", "#000000", "#8a6d00", "#5b6270", "#8b2e62", "#004a75")
 DASHES = (0, (3, 2))
 REFERENCE = "#7a808c"
 PAGE_INCHES = 10.6
@@ -35,6 +39,8 @@ STYLE: Any = {  # matplotlib types the keys as literals, which no plain dict sat
     "legend.frameon": False,
     "figure.constrained_layout.use": True,
     "svg.hashsalt": "reorient",  # the same figure, the same bytes
+    "svg.fonttype": "none",  # text stays text
+    "pdf.fonttype": 42,  # TrueType, as journals ask
 }
 
 
@@ -75,3 +81,15 @@ def svg(figure: Figure) -> str:
     with mpl.rc_context(STYLE):
         figure.savefig(buffer, format="svg", metadata={"Date": None})
     return "data:image/svg+xml;base64," + base64.b64encode(buffer.getvalue()).decode()
+
+
+def write_figure(figure: Figure, path: Path) -> Path:
+    """Write a figure in the common style, in the format of the suffix (PNG: 160 pixels per inch); returns its path.
+
+    Raises ReorientError where it cannot be written.
+    """
+    kind = path.suffix.removeprefix(".")
+    nothing = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}  # the same bytes
+    with replacing(path) as temporary, mpl.rc_context(STYLE):
+        figure.savefig(temporary, format=kind, dpi=160, metadata=nothing[kind])
+    return path

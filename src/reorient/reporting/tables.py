@@ -8,6 +8,7 @@ from itertools import groupby
 from rich.console import Console
 from rich.table import Table
 
+from reorient.reporting.page import wide
 from reorient.reporting.rows import Summary, by_overlap, estimators, summarise
 from reorient.runs.run import Row
 
@@ -82,8 +83,8 @@ def html_table(rows: Sequence[Row], by: Breakdown = RANGE) -> str:
         body.append(f"<tr{begins}>{''.join(columns)}</tr>")
         previous = cells[:2]
     return (
-        f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{"".join(body)}</tbody></table></div>'
-        f'<p class="note">{escape(notes(rows) + by.note)}</p>'
+        wide(f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table>", f"errors by {by.heading}")
+        + f'<p class="note">{escape(notes(rows) + by.note)}</p>'
     )
 
 

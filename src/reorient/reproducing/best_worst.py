@@ -11,8 +11,8 @@ from PIL import Image
 
 from reorient.experiments.evaluation import read_config
 from reorient.reporting.page import inline_image
+from reorient.reporting.pairs import three_panels
 from reorient.reporting.pictures import montage, png_data_uri
-from reorient.reporting.report import three_panels
 from reorient.reporting.rows import estimators
 from reorient.reproducing.findings import Finding
 from reorient.reproducing.one_shot import labelled, mean_errors, measure_pairs, of, write_page
@@ -73,7 +73,7 @@ class BestWorst:
             with replacing(written[-1]) as temporary:
                 sheet.save(temporary, optimize=True)
             objects = ", ".join(f"{end}: {row['object']}, pair {row['pair']}" for end, row in ends.items())
-            sections[name] = inline_image(png_data_uri(sheet), f"best and worst of {name}", objects, dark=True)
+            sections[name] = inline_image(png_data_uri(sheet), f"best and worst of {name}", objects, kind="dark")
         lead = "The third panel is rendered exactly from the mesh: it should look like the goal."
         title = "Best and worst predictions (Figures 5 and 6 of the paper)"
         return written + write_page(folder, title, lead, self.findings(folder), {}, sections)

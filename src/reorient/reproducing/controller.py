@@ -95,7 +95,12 @@ class Controller:
             "degrees, world of the paper's simulator, no noise, a new rectangle on every image, pivot known to 1 cm."
         )
         return write_page(
-            folder, "Algorithm 1 in simulation (Figure 9 of the paper)", lead, self.findings(folder), figures
+            folder,
+            "Algorithm 1 in simulation (Figure 9 of the paper)",
+            lead,
+            self.findings(folder),
+            figures,
+            suffix=setting.format,
         )
 
 

@@ -3,7 +3,6 @@
 import csv
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from html import escape
 from pathlib import Path
 from typing import Literal
 
@@ -11,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import binomtest
 
+from reorient.reporting.page import table
 from reorient.runs.files import replacing
 
 RESAMPLES = 1000
@@ -107,14 +107,4 @@ def cells(finding: Finding) -> list[str]:
 
 def html_findings(findings: Sequence[Finding]) -> str:
     """The table as HTML."""
-
-    def row(line: Sequence[str], tag: str) -> str:
-        sides = ["word" if index in WORDS else "" for index in range(len(line))]
-        return (
-            "<tr>"
-            + "".join(f'<{tag} class="{s}">{escape(c)}</{tag}>' for s, c in zip(sides, line, strict=True))
-            + "</tr>"
-        )
-
-    body = "".join(row(cells(finding), "td") for finding in findings)
-    return f'<div class="wide"><table><thead>{row(HEADINGS, "th")}</thead><tbody>{body}</tbody></table></div>'
+    return table(HEADINGS, [cells(finding) for finding in findings], WORDS, "numbers")

@@ -152,7 +152,9 @@ class Full:
             f"package's weights, of as many pairs as {self.epochs} epochs."
         )
         title = "ShapeMatch on the full set (Figure 7 of the paper)"
-        return write_page(folder, title, lead, self.findings(folder), figures, {"Angles": html_table(rows)})
+        return write_page(
+            folder, title, lead, self.findings(folder), figures, {"Angles": html_table(rows)}, setting.format
+        )
 
     def _rows(self, folder: Path) -> tuple[list[Row], list[Row]]:
         """Rows with errors in degrees, and those with ShapeMatch, estimators by their labels."""

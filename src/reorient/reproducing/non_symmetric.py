@@ -126,7 +126,9 @@ class NonSymmetric:
             "0 to 30 degrees, rectangle and dropouts. Networks with an equal budget of 30 epochs (and 3)."
         )
         title = "One estimate on unseen non-symmetric objects (Figure 4 of the paper)"
-        return write_page(folder, title, lead, self.findings(folder), figures, {"All estimators": tables})
+        return write_page(
+            folder, title, lead, self.findings(folder), figures, {"All estimators": tables}, setting.format
+        )
 
     def _panels(self, folder: Path) -> dict[str, list[dict[str, str]]]:
         every = Setting()

@@ -75,7 +75,7 @@ class ObjectSets:
         with replacing(path) as temporary:
             sheet.save(temporary, optimize=True)
         picture = inline_image(
-            png_data_uri(sheet), "ten objects of each set", "Top: non-symmetric; below: full.", dark=True
+            png_data_uri(sheet), "ten objects of each set", "Top: non-symmetric; below: full.", kind="dark"
         )
         lead = "Objects of the package's generator; the paper's own are not public."
         title = "The object sets (Figure 3 of the paper)"

@@ -7,14 +7,15 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from reorient.experiments.evaluation import Evaluation, evaluate
-from reorient.reporting.curves import Curve, Panel, curves, write_png
-from reorient.reporting.page import inline_image, page
+from reorient.formatting import FigureFormat
+from reorient.reporting import page
+from reorient.reporting.curves import Curve, Panel, curves
+from reorient.reporting.page import inline_image
 from reorient.reporting.rows import estimators, numbers, read_rows
-from reorient.reporting.style import svg
+from reorient.reporting.style import svg, write_figure
 from reorient.reproducing.findings import Finding, html_findings, interval, number
 from reorient.reproducing.networks import Network
 from reorient.reproducing.setting import Setting
-from reorient.runs.files import replacing
 from reorient.runs.run import Row
 from reorient.world.objects import ObjectSource
 
@@ -103,19 +104,16 @@ def write_page(
     findings: Sequence[Finding],
     figures: Mapping[str, tuple[Figure, str]],
     more: Mapping[str, str] | None = None,
+    suffix: FigureFormat = "png",
 ) -> list[Path]:
-    """``report.html`` and a PNG for each figure (by heading, with its caption); returns what was written.
+    """``report.html`` and a file for each figure (by heading, with its caption); returns what was written.
 
-    ``more``: sections of HTML above the figures.
+    ``more``: sections of HTML above the figures; ``suffix``: the format of the files.
     """
     written = []
     sections = dict(more or {})
     for heading, (figure, caption) in figures.items():
-        written.append(folder / f"{heading.lower().replace(' ', '-')}.png")
-        write_png(figure, written[-1])
+        written.append(write_figure(figure, folder / f"{heading.lower().replace(' ', '-')}.{suffix}"))
         sections[heading] = inline_image(svg(figure), heading, caption)
     sections["Numbers"] = html_findings(findings)
-    written.append(folder / "report.html")
-    with replacing(written[-1]) as temporary:
-        temporary.write_text(page(title, lead, sections), encoding="utf-8")
-    return written
+    return [*written, page.write_page(folder / "report.html", title, lead, sections)]

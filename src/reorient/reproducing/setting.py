@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from math import ceil
 from pathlib import Path
 
+from reorient.formatting import FigureFormat
 from reorient.runs.files import make_folder
 from reorient.runs.pool import Pool
 from reorient.world.objects import ObjectSource
@@ -34,6 +35,8 @@ class Setting:
     """Names of those meshes to use."""
     share: float = 1.0
     """Of each figure's pairs, trials and epochs; below 1, other pairs than those of the whole figure."""
+    format: FigureFormat = "png"
+    """Of the figures' files."""
     pool: Pool = field(default_factory=Pool)
     progress: Callable[[str, States], None] = in_silence
 

@@ -105,9 +105,10 @@ class SweepFigure:
             )
         )
         more = {"Conclusions": "<ul>" + "".join(f"<li>{escape(line)}</li>" for line in sentences) + "</ul>"}
+        title = "Where does learning beat geometry?"
         return [
             text,
-            *write_page(folder, "Where does learning beat geometry?", lead, self.findings(folder), figures, more),
+            *write_page(folder, title, lead, self.findings(folder), figures, more, setting.format),
         ]
 
 

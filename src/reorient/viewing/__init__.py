@@ -1,0 +1,1 @@
+"""What other programs and browsers show live: recordings as MCAP, and the 3D viewer."""
