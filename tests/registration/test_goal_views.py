@@ -97,6 +97,10 @@ def test_slipped_views_are_aligned(pair_and_goal):
     assert all(x.t_goal_view_m is not None for x in aligned.views)
     assert np.median([error_deg(aligned, k, goal) for k in range(3)]) < 1
     assert aligned_goal(slipped)[0] is aligned  # computed once
+    again, _ = aligned_goal(aligned)
+    for view, other in zip(again.views, aligned.views, strict=True):
+        np.testing.assert_array_equal(view.R_goal_view, other.R_goal_view)
+        np.testing.assert_array_equal(view.t_goal_view_m, other.t_goal_view_m)
 
 
 def test_the_pivot_of_views_without_translation_is_found(pair_and_goal):

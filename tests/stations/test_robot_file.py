@@ -32,8 +32,8 @@ def test_the_template_is_read_and_so_are_its_commented_lines(file):
         line.removeprefix("# ") if line.startswith("# ") and "=" in line else line for line in TEMPLATE.splitlines()
     )
     robot = read_robot_file(file(everything))
-    assert robot.isolation is not None
-    assert robot.isolation.radius_m == 0.15
+    assert robot.isolation.remove_plane
+    assert robot.isolation.far_m == 0.9
     assert robot.limits.box_high_m == (0.7, 0.4, 0.8)
     assert robot.arm["address"] == "192.168.0.10"
 

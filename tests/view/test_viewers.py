@@ -9,7 +9,8 @@ import pytest
 
 from conftest import canvas_pixels
 from reorient import so3
-from reorient.cli.viewing import ViewOptions, show_all
+from reorient.cli.view_options import ViewOptions
+from reorient.cli.viewing import show_all
 from reorient.controller.guiding import GuideState
 from reorient.errors import ReorientError
 from reorient.imaging import Camera, DepthImage, Isolation

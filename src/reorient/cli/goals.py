@@ -113,7 +113,7 @@ class FromMesh:
             T = se3.transform(R, center_m - R @ bounds_m.mean(axis=0))
             return Goal.from_mesh(self.mesh, T, camera, unit_m, self.views)
 
-        center_m = np.array(self.center) if self.center is not None else _place_m(real, np.ptp(bounds_m, axis=0))
+        center_m = np.array(self.center) if self.center is not None else _place_m(real)
         goal = rendered(center_m)
         if real is not None:
             check_scale(real, goal)
@@ -159,11 +159,11 @@ def write_sheet(path: Path, goal: "Goal") -> None:
         montage(tiles, min(_COLUMNS, len(tiles)), labels).save(temporary)
 
 
-def _place_m(image: Any, extents_m: np.ndarray) -> np.ndarray:
-    """Where the centre of an object of these extents is, roughly: half of their mean behind its nearest returns."""
+def _place_m(image: Any) -> np.ndarray:
+    """Where the centre of an object is, roughly: half of its mean width behind its nearest returns."""
     low, high = np.percentile(image.points(), (1, 99), axis=0)
     middle_m = (low + high) / 2
-    middle_m[2] = low[2] + float(np.mean(extents_m)) / 2
+    middle_m[2] = low[2] + float(np.mean((high - low)[:2])) / 2
     return np.asarray(middle_m)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from reorient.cli.arguments import Metavar, Positional
 from reorient.cli.isolating import GoalFrame
 from reorient.cli.stations import StationChoice
-from reorient.cli.viewing import ViewOptions
+from reorient.cli.view_options import ViewOptions
 from reorient.errors import ReorientError, check_range
 from reorient.formatting import format_probability
 
@@ -155,13 +155,13 @@ class Guide:
         from reorient.estimators.tracking import Tracker
 
         log = GuideLog(self.log, self.name)
-        goal = self.frames.read(self.goal, goal=True).isolated
+        goal = self.frames.read(self.goal, goal=True).goal
         tracker = Tracker(load_estimator(self.estimator), goal)
         frames, hand = self.choice.frames(self.frames.isolation() if self.isolate_station else None)
         limit_s = self.timeout_s or (HAND_S if hand else float("inf"))
         states = guiding.Guide(tracker, self.options.guidance()).states(frames)
         tolerance_deg = self.options.tolerance_deg
-        view = self.view_options.guide(goal, f"Guide to {self.goal.name}", tolerance_deg) if self.view else None
+        view = self.view_options.guide(goal.image, f"Guide to {self.goal.name}", tolerance_deg) if self.view else None
         with Terminal(tolerance_deg) as terminal:
             subscribers: list[GuideSubscriber] = [terminal, log, *([hand] if hand else []), *([view] if view else [])]
             try:

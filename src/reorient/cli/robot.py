@@ -14,7 +14,7 @@ from reorient.cli.isolating import GoalFrame
 from reorient.cli.limits import LimitChoice
 from reorient.cli.outputs import LoopOutputs, print_outcome
 from reorient.cli.stations import StationChoice
-from reorient.cli.viewing import ViewOptions, base_in_camera
+from reorient.cli.view_options import ViewOptions, base_in_camera
 from reorient.errors import ReorientError, check_range
 
 if TYPE_CHECKING:

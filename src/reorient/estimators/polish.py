@@ -54,15 +54,17 @@ class Polished:
     """Of ICP; 0 where the clouds are too small for it."""
 
 
-def polish(problem: Problem, answer: Hypotheses) -> Polished:
+def polish(problem: Problem, answer: Hypotheses, *others: Problem) -> Polished:
     """The best of the answer, Gauss-Newton steps from it on all returns, and ICP from there, by score.
 
-    Either step may drag an answer away where the views hardly overlap.
+    Either step may drag an answer away where the views hardly overlap. ``others``: problems of the same views whose
+    steps are tried, too.
     """
     noise = _residual(problem, answer)
-    stepped = refine(problem, answer, [max(x, POLISH.noise_factor * noise) for x in POLISH.tolerances], POLISH.points)
-    registered = register(problem, stepped, POLISH.voxel if noise < POLISH.quiet else POLISH.noisy_voxel)
-    tried = [answer, stepped] if registered is None else [answer, stepped, registered.hypothesis]
+    tolerances = [max(x, POLISH.noise_factor * noise) for x in POLISH.tolerances]
+    stepped = [refine(each, answer, tolerances, POLISH.points) for each in (problem, *others)]
+    registered = register(problem, stepped[0], POLISH.voxel if noise < POLISH.quiet else POLISH.noisy_voxel)
+    tried = [answer, *stepped, *([] if registered is None else [registered.hypothesis])]
     score = [problem.score(x, POLISH.quiet, POLISH.points)[0] for x in tried]
     return Polished(tried[int(np.argmax(score))], 0 if registered is None else registered.iterations)
 

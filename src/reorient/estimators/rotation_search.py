@@ -172,7 +172,7 @@ def polished(verified: Verified, group: Hypotheses = NONE) -> RotationEstimate:
     chosen = same[:1]
     away_rad = so3.angle_difference(hypotheses.R[distinct][:, None], same.R).min(axis=1)
     others = distinct[away_rad > DISTINCT_RAD]
-    answer = polish(problem, chosen)
+    answer = polish(problem, chosen, *([] if verified.found.silhouettes[best] else [verified.problem]))
     covariance, converged = uncertainty(problem, answer.hypothesis)
     motion = answer.hypothesis.R[0], answer.hypothesis.t_m[0]
     tolerance_m = INLIER_TOLERANCE * problem.diameter_m

@@ -28,7 +28,8 @@ class GoalView:
     R_goal_view: Float[np.ndarray, "3 3"]
     """Takes the object from the pose of this view to the goal pose (camera axes, left multiplication)."""
     t_goal_view_m: Float[np.ndarray, "3"] | None = None
-    """With it, p_goal = R_goal_view p_view + t_goal_view_m, camera axes, metres. None: unknown, about the pivot."""
+    """With it, p_goal = R_goal_view p_view + t_goal_view_m, camera axes, metres; the motion is taken as exact.
+    None: unknown, about the pivot; rotation and translation are then aligned to the other views."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.image, DepthImage):

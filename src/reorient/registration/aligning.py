@@ -1,9 +1,9 @@
 """The views of a goal, put in place: aligned to each other, and without those that contradict the others.
 
 A robot states how it rotated the object between two views, and is wrong by a degree or two: the grasp slips, the arm
-misses. Gauss-Newton aligns each further view to all others, in turn and with ever finer tolerances, and a prior keeps
-it near its stated motion where the views leave that open. Views without a translation rotated about one pivot, which
-is estimated first.
+misses. Such views have no translation: they rotated about one pivot, which is estimated first. Gauss-Newton then aligns
+each of them to all others, in turn and with ever finer tolerances, and a prior keeps it near its stated motion where
+the views leave that open. A view with a translation, from CAD or aligned before, keeps its motion.
 """
 
 from collections.abc import Sequence
@@ -91,9 +91,9 @@ def aligned_goal(
 ) -> tuple[Goal, tuple[str, ...]]:
     """The goal with its views aligned to each other, each with a translation; and what is wrong, a sentence each.
 
-    A view that contradicts the others is left out and named. The primary view stays as it is. ``pivot_m``: rotation
-    centre of the views without translation (camera axes), good to about 1 cm; None: unknown. The answer for a goal is
-    computed once.
+    A view that has a translation keeps its motion, so an aligned goal stays as it is. Another that contradicts the
+    others is left out and named. The primary view stays as it is. ``pivot_m``: rotation centre of the views without
+    translation (camera axes), good to about 1 cm; None: unknown. The answer for a goal is computed once.
     """
     if isinstance(goal, DepthImage) or not goal.views:
         return (Goal(goal) if isinstance(goal, DepthImage) else goal), ()
@@ -102,15 +102,17 @@ def aligned_goal(
 
 @lru_cache(maxsize=8)
 def _aligned(goal: Goal, pivot_m: tuple[float, ...] | None) -> tuple[Goal, tuple[str, ...]]:
-    stated = dict(enumerate(_posed(goal, pivot_m)))
+    stated = views = dict(enumerate(_posed(goal, pivot_m)))
+    free = {k for k, x in enumerate(goal.views, start=1) if x.t_goal_view_m is None}
     warnings = []
-    while True:
-        views = best_agreeing(stated, _together(stated))
-        found = {k: fit for k in views if k and (fit := _contradiction(views, k)) is not None}
+    while free:
+        views = best_agreeing(stated, _together(stated, free))
+        found = {k: fit for k in free if (fit := _contradiction(views, k)) is not None}
         if not found:
             break
         worst = min(found, key=lambda k: found[k])
-        del stated[worst]
+        del stated[worst], views[worst]
+        free.remove(worst)
         warnings.append(
             f"goal view {worst} contradicts the others ({found[worst]:.0%} of its co-visible points fit): it was not "
             "used (is its rotation right, and is it the same object?)"
@@ -123,13 +125,12 @@ def _aligned(goal: Goal, pivot_m: tuple[float, ...] | None) -> tuple[Goal, tuple
     return Goal(goal.image, tuple(further)), tuple(warnings)
 
 
-def _together(stated: dict[int, PosedView]) -> dict[int, PosedView]:
-    """The views, by number, aligned to each other; the primary, number 0, stays."""
+def _together(stated: dict[int, PosedView], free: set[int]) -> dict[int, PosedView]:
+    """The views, by number, with those that are free aligned to all; the primary, number 0, is not."""
     views = dict(stated)
-    for tolerance in SETTINGS.tolerances if len(views) > 1 else ():
-        for k in views:
-            if k:
-                views[k] = _nearer(views, k, stated[k], tolerance)
+    for tolerance in SETTINGS.tolerances:
+        for k in free:
+            views[k] = _nearer(views, k, stated[k], tolerance)
     return views
 
 
