@@ -56,6 +56,17 @@ def test_several_views_are_calibrated_by_their_number(tmp_path, rng):
         load_verifier(tmp_path / "views.npz")
 
 
+def test_data_of_two_folders_keep_their_pairs_and_objects_apart(rng):
+    features = rng.normal(size=(6, len(FEATURES))).astype(np.float32)
+    one = Shards(FEATURES, features, np.ones(6), np.arange(6) // 2, np.arange(6) // 3)
+    both = one.and_also(one)
+    assert both.pair.tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5]
+    assert both.object.tolist() == [0, 0, 0, 1, 1, 1, 2, 2, 2, 3, 3, 3]
+    views = Shards(VIEWS_FEATURES, features, np.ones(6), one.pair, one.object)
+    with pytest.raises(ReorientError, match="folders of the same kind"):
+        one.and_also(views)
+
+
 def test_platt_scaling_finds_scale_and_shift(rng):
     log_odds = rng.normal(0, 3, 40_000)
     right = rng.random(40_000) < 1 / (1 + np.exp(-(0.6 * log_odds - 0.4)))

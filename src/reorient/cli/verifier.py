@@ -51,6 +51,8 @@ class Train:
     """Folder of ``reorient verifier make``."""
     out: Positional[Path]
     """File to write (.npz)."""
+    also: Path | None = None
+    """Folder of further data, of other objects."""
     fast: Path | None = None
     """Folder of other objects with ``--effort fast``, to calibrate that effort."""
     thorough: Path | None = None
@@ -63,5 +65,6 @@ class Train:
 
         folders = {"fast": self.fast, "thorough": self.thorough}
         others = {effort: read(folder) for effort, folder in folders.items() if folder is not None}
-        for name, value in train(read(self.data), self.out, others).items():
+        data = read(self.data) if self.also is None else read(self.data).and_also(read(self.also))
+        for name, value in train(data, self.out, others).items():
             print(f"{name}: {value:.4g}")

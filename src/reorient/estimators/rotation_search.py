@@ -21,7 +21,7 @@ from reorient.estimators.polish import polish, uncertainty
 from reorient.estimators.search import EFFORTS, Found, search
 from reorient.estimators.static_part import find_static_part
 from reorient.estimators.tracking import track
-from reorient.estimators.views_verifier import judge
+from reorient.estimators.views_verifier import assess
 from reorient.imaging import DepthImage, Goal
 from reorient.registration import (
     EVIDENCE_POINTS,
@@ -155,7 +155,7 @@ class Verified:
 
 def verify(problem: Problem, found: Found, effort: str) -> Verified:
     """The probability of each hypothesis of a search with that effort, from all pairs of views."""
-    return Verified(problem, found, *judge(problem, found.hypotheses, effort))
+    return Verified(problem, found, *assess(problem, found.hypotheses, effort))
 
 
 def polished(verified: Verified, group: Hypotheses = NONE) -> RotationEstimate:

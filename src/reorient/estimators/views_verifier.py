@@ -1,9 +1,9 @@
-"""The verifier of several views: how probable a hypothesis is, given what each pair of views says about it.
+"""The verifier of several views: the probability of a hypothesis from the evidence of all pairs of views.
 
-The verifier of two views judges each pair of a view now and a goal view. What the pairs say is not independent, and a
-pair that hardly overlaps says little. So its log-odds and the most telling features of all pairs, as least, mean and
-largest, go through boosted trees of their own (``verifier-views.npz``), trained on problems of several views; without
-that file a fixed combination stands in. A problem of two views needs neither.
+The verifier of two views gives log-odds for each pair of a view now and a goal view. Their evidence is not independent,
+and a pair that hardly overlaps has little. So its log-odds and the most informative features of all pairs, as least,
+mean and largest, go through boosted trees of their own (``verifier-views.npz``), trained on problems of several views;
+without that file a fixed combination replaces them. A problem of two views needs neither.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ POINTS = 1000  # of each image where there is one pair
 LEAST_WEIGHT = 0.05  # of a pair, for the share of its points that are not occluded
 COMBINED = (0.79, 0.72)  # Platt scaling of the fixed combination, on 73 pairs of tuning objects with 3 and 6 views
 
-_TOLD = tuple(
+_SUMMARISED = tuple(
     f"{way} {name}"
     for name in (
         *(f"{x} {INLIER_TOLERANCE}" for x in ("inlier", "covisible inlier", "free space")),
@@ -34,13 +34,13 @@ _LOG_ODDS = ("largest", "second", "mean", "weighted mean", "least")
 VIEWS_FEATURES = (
     *(f"{x} log-odds" for x in _LOG_ODDS),
     *(f"{x} log-odds less the best's" for x in _LOG_ODDS),
-    *(f"{how} of {x}" for x in _TOLD for how in ("least", "mean", "largest")),
+    *(f"{how} of {x}" for x in _SUMMARISED for how in ("least", "mean", "largest")),
     *("score", "less than best", "lead over next", "near a better one", "competing"),
     *("angle", "prior distance2", "pivot known", "views now", "goal views"),
 )
 
 
-def judge(
+def assess(
     problem: Problem, hypotheses: Hypotheses, effort: str
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     """The log-odds of each hypothesis of a search with an effort, and its calibrated probability, from all pairs of
@@ -69,7 +69,7 @@ def views_features(
 ) -> Float[np.ndarray, "k g"]:
     """The features, one column for each of ``VIEWS_FEATURES``; ``each``: those of each pair, with its log-odds."""
     summary = _summary(each, log_odds)
-    told = np.stack([[x[:, FEATURES.index(name)] for name in _TOLD] for x in each])  # (pairs, names, k)
+    told = np.stack([[x[:, FEATURES.index(name)] for name in _SUMMARISED] for x in each])  # (pairs, names, k)
     stated = np.stack([told.min(axis=0), told.mean(axis=0), told.max(axis=0)], axis=1).reshape(-1, len(hypotheses))
     k, prior = len(hypotheses), problem.prior
     own = [

@@ -36,6 +36,18 @@ class Shards:
         """These rows, as a mask or as numbers."""
         return Shards(self.names, self.features[rows], self.error_deg[rows], self.pair[rows], self.object[rows])
 
+    def and_also(self, other: "Shards") -> "Shards":
+        """These, and those of other objects. Raises ReorientError for features of another kind."""
+        if self.names != other.names:
+            raise ReorientError("data of one and of several goal views: expected two folders of the same kind")
+        return Shards(
+            self.names,
+            np.concatenate([self.features, other.features]),
+            np.concatenate([self.error_deg, other.error_deg]),
+            np.concatenate([self.pair, other.pair + self.pair.max() + 1]),
+            np.concatenate([self.object, other.object + self.object.max() + 1]),
+        )
+
     def best(self, score: Float[np.ndarray, " n"]) -> np.ndarray:
         """Of each pair the row with the highest score."""
         order = np.lexsort((-score, self.pair))
