@@ -242,6 +242,7 @@ def test_the_block_of_the_readme_runs():
     assert names["result"].converged
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("unchecked")
 def test_the_block_of_the_robot_page_runs(monkeypatch):
     (block,) = fenced((ROOT / "docs" / "robot.md").read_text(), "python")

@@ -66,6 +66,7 @@ def test_estimate_orient_and_replay_take_the_whole_goal(folder, capsys):
     assert ended(capsys, "replay", folder / "record")[1] == out
 
 
+@pytest.mark.slow
 def test_orient_with_translation_is_recorded_and_replayed(folder, capsys):
     loop = ("orient", folder / "goal.npz", *RENDERED, "--start-deg", "15", "--estimator", "gicp", "--translation")
     code, out, err = ended(capsys, *loop, "--record", folder / "placed")

@@ -44,6 +44,7 @@ def run(capsys, *words):
     return code, captured.out + captured.err
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("unchecked")
 def test_from_a_new_file_to_a_converged_loop(tmp_path, monkeypatch, capsys):
     (tmp_path / "robot_of_mine.py").write_text(MODULE)

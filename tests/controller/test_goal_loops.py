@@ -1,6 +1,7 @@
 """Loops towards a goal of several views."""
 
 import numpy as np
+import pytest
 import trimesh
 
 from reorient import load_estimator, orient, so3
@@ -23,6 +24,7 @@ def taught(mesh, rng):
     return station, Goal(image, tuple(views)), R_goal
 
 
+@pytest.mark.slow
 def test_a_symmetric_object_is_brought_to_the_nearest_equivalent_without_doubt(rng):
     station, goal, R_goal = taught(trimesh.creation.box((1.0, 0.7, 0.4)), rng)
     station.rotate(so3.exp(np.radians(150) * np.array([0.6, 0.8, 0.0])))

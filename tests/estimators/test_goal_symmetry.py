@@ -34,6 +34,7 @@ def box():
     return pair_and_goal(trimesh.creation.box((1.0, 0.7, 0.4)), 6)
 
 
+@pytest.mark.slow
 def test_a_box_has_three_half_rotations(box):
     pair, goal = box
     group = symmetries(goal)
@@ -43,6 +44,7 @@ def test_a_box_has_three_half_rotations(box):
     np.testing.assert_allclose(np.sort(np.abs(axes).argmax(axis=1)), [0, 1, 2])
 
 
+@pytest.mark.slow
 def test_no_symmetry_of_an_asymmetric_object_nor_of_few_views(mesh, box):
     assert len(symmetries(pair_and_goal(mesh, 6)[1])) == 0
     few = Goal(box[1].image, box[1].views[:2])
@@ -51,6 +53,7 @@ def test_no_symmetry_of_an_asymmetric_object_nor_of_few_views(mesh, box):
     assert len(symmetries(few)) == 0
 
 
+@pytest.mark.slow
 def test_the_smallest_equivalent_is_the_answer_without_doubt(box):
     pair, goal = box
     estimate = load_estimator("fast").estimate(pair.current, goal, pair.pivot_m)

@@ -36,6 +36,7 @@ def test_a_goal_from_a_mesh_estimates_any_start(mesh, pair, tmp_path):
     assert np.linalg.norm(se3.apply(estimate.T_goal_current, center_m) - center_m) < 0.004
 
 
+@pytest.mark.slow
 def test_a_mirrored_mesh_and_another_object_are_unsure(mesh, pair, tmp_path):
     mirrored = mesh.copy()
     mirrored.apply_transform(np.diag([-1.0, 1.0, 1.0, 1.0]))

@@ -86,6 +86,7 @@ def test_the_summary_counts():
     assert cells[7:11] == ["3", "5", "9.00", "60.0%"]
 
 
+@pytest.mark.slow
 def test_the_verb_leaves_rows_and_a_table(tmp_path, capsys):
     arguments = ["--count", "2", "--objects", "1", "--trials", "2", "--start-deg", "10", "any"]
     main(["loops", str(tmp_path), *arguments, "--systems", "gicp/direct"])

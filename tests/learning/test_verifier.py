@@ -33,6 +33,7 @@ def test_every_hypothesis_is_a_row(shards):
     assert not data.right.all()
 
 
+@pytest.mark.slow
 def test_several_views_have_features_of_their_own(tmp_path):
     config = replace(CONFIG, goal_views=(2, 3), views_now=(1, 2), objects=ObjectSource(count=1))
     list(make(config, tmp_path))

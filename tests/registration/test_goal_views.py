@@ -52,6 +52,7 @@ def test_an_estimator_of_one_view_receives_the_primary(pair_and_goal):
     np.testing.assert_array_equal(image.T_goal_current, several.T_goal_current)
 
 
+@pytest.mark.slow
 def test_the_order_of_the_views_does_not_matter(pair_and_goal):
     pair, goal = pair_and_goal
     first, second = (
