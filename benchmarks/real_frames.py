@@ -14,6 +14,7 @@ and condition; an interrupted run continues where it stopped. Groups of conditio
 - ``holes``: pairs of the preset ``in_hand`` of which, at the true rotation, 25 to 50% of the points land where the
   other image has no return (``level``).
 - ``in_hand``: the preset as it is.
+- ``pivot``: the same pair without a pivot, and with the nominal one shifted by 0 to 100 cm.
 
 The noise is that of the structured-light sensor, without the paper's rectangle. The summary has a line for each
 condition, range and estimator: right answers (symmetry-aware error below 5 degrees) and answers with a confidence of at
@@ -74,6 +75,8 @@ class Condition:
     level: float
     """Share that the condition is about."""
     pair: Pair
+    with_pivot: bool = False
+    """Give the pair's pivot to the estimators, whatever the options."""
 
 
 Conditions = Iterator[Condition]
@@ -164,6 +167,16 @@ def holes(rng: Generator, renderer: Renderer, pair: Pair, noise_m: float) -> Con
     raise ReorientError("no losses with a quarter to a half of the points on holes: expected another pair")
 
 
+def pivot(rng: Generator, renderer: Renderer, pair: Pair, noise_m: float) -> Conditions:
+    """The same pair without a pivot, and with one that is shifted in one direction, away from the camera."""
+    yield Condition("none", "", 0, pair)
+    away = so3.sample_axes(rng, 1)[0]
+    away *= 1 if away[2] > 0 else -1
+    for off_cm in (0, 3, 8, 15, 100):
+        shifted = replace(pair, pivot_m=pair.pivot_m + off_cm / 100 * away)
+        yield Condition(f"{off_cm} cm off", "", off_cm, shifted, with_pivot=True)
+
+
 @dataclass(frozen=True)
 class Group:
     """Conditions that share their pairs."""
@@ -180,6 +193,7 @@ GROUPS = {
     "static": Group(static, "in_hand", ((10, 60),)),
     "holes": Group(holes, "in_hand", ((33, 60), (60, 90))),
     "in_hand": Group(in_hand, "in_hand", ((0, 33), (33, 60), (60, 90), (90, 180))),
+    "pivot": Group(pivot, "benchmark", ((0, 60), (60, 180))),
 }
 
 
@@ -192,7 +206,7 @@ class RealFrames:
     estimators: tuple[str, ...] = ("default", "gicp")
     """Names of estimators, each with a row for every pair and condition."""
     groups: tuple[str, ...] = tuple(GROUPS)
-    """Groups of conditions: unknown, stray, static, holes, in_hand."""
+    """Groups of conditions: unknown, stray, static, holes, in_hand, pivot."""
     noise_mm: tuple[float, ...] = (0.0, 1.0)
     """Standard deviation of the sensor's depth noise."""
     pairs: int = 300
@@ -250,11 +264,11 @@ def _measure_pair(task: tuple[RealFrames, str, int]) -> Tables:
                         "level": f"{condition.level:.4f}",
                         "object": name,
                         "pair": index,
-                        "pivot": int(config.pivot),
+                        "pivot": int(config.pivot or condition.with_pivot),
                         "angle_deg": f"{np.degrees(so3.angle(pair.R_goal_current)):.4f}",
                     }
                     for estimator in config.estimators:
-                        pivot_m = pair.pivot_m if config.pivot else None
+                        pivot_m = pair.pivot_m if config.pivot or condition.with_pivot else None
                         cells = estimate_cells(cached_estimator(estimator), pair, group, pivot_m)
                         row: dict[str, Any] = dict.fromkeys(COLUMNS, "") | cells | about | {"estimator": estimator}
                         rows.append({column: str(row[column]) for column in COLUMNS})
@@ -319,7 +333,7 @@ def summarise(rows: Sequence[Row]) -> str:
 
 
 def _pair_key(row: Row) -> tuple[str, ...]:
-    return tuple(row[name] for name in ("group", "noise_mm", "low_deg", "high_deg", "pair", "pivot", "estimator"))
+    return tuple(row[name] for name in ("group", "noise_mm", "low_deg", "high_deg", "pair", "estimator"))
 
 
 def _cell(row: Row) -> tuple[str, ...]:
