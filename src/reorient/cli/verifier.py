@@ -16,8 +16,8 @@ class Make:
 
     One file holds those of a few objects. An interrupted run continues where it stopped.
 
-    With several views the data is for the verifier of several views, which judges by what the other one says of each
-    pair of views: of other objects than that was trained on.
+    With several views the data is for the verifier of several views, whose features are the log-odds of the other one
+    for each pair of views: take other objects than that was trained on.
 
     Examples:
         reorient verifier make out/verifier --count 5000 --workers 2
