@@ -162,7 +162,7 @@ class _Loop:
         self.check_motion()
         try:
             if self.belief is None:
-                aligned, _ = aligned_goal(self.goal, self.pivot_m)  # what is wrong with it, the estimates say
+                aligned, _ = aligned_goal(self.goal, self.pivot_m)  # the estimates carry its warnings
                 self.belief = self.strategy.start(aligned if aligned.views else aligned.image)
             self.belief = self.belief.updated(self.steps[-1])
             decision = self.strategy.decide(self.belief, self.session.reachable)

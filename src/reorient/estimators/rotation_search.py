@@ -71,17 +71,16 @@ class RotationSearch:
         """The motion near ``previous``, an estimate of a moment ago: see ``reorient.estimators.tracking.track``."""
         return track(current, goal, previous)
 
-    def _verified(self, problem: Problem, more: Found | None = None) -> "Verified":
-        """The hypotheses of a search, and more of them, verified."""
-        found = search(problem, EFFORTS[self._effort])
-        return verify(problem, found if more is None else found.and_also(more), self._effort)
+    def _verified(self, problem: Problem) -> "Verified":
+        """The hypotheses of a search, verified."""
+        return verify(problem, search(problem, EFFORTS[self._effort]), self._effort)
 
     def _without_wrong_pivot(self, verified: "Verified") -> "Verified":
         """The hypotheses without the pivot where they are verified with it only poorly, and better without it."""
         prior = verified.problem.prior
         if not prior.known or verified.confidence >= SURE:
             return verified
-        freely = self._verified(verified.problem.without_pivot, verified.found)
+        freely = self._verified(verified.problem.without_pivot)
         best = freely.found.hypotheses[np.array([freely.best])]
         contradicted = prior.mahalanobis2(best.R, best.t_m)[0] > CONTRADICTED2
         if not contradicted or freely.confidence <= max(verified.confidence, DOUBTED):

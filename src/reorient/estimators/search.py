@@ -153,11 +153,6 @@ class Found:
     silhouettes: Bool[np.ndarray, " k"]
     """Which of them were refined with the silhouettes."""
 
-    def and_also(self, others: "Found") -> "Found":
-        """These, and others after them."""
-        silhouettes = np.concatenate([self.silhouettes, others.silhouettes])
-        return Found(self.hypotheses.and_also(others.hypotheses), silhouettes)
-
 
 def search(problem: Problem, effort: Effort) -> Found:
     """Distinct hypotheses of a search with the silhouettes, and of one without. Deterministic."""
