@@ -21,7 +21,7 @@ def renderer():
     return Renderer(objects.load(objects.names[1]))
 
 
-@pytest.mark.parametrize("name", GROUPS)
+@pytest.mark.parametrize("name", [name for name in GROUPS if name != "pivot"])
 def test_conditions_share_the_pair(renderer, name):
     low, high = GROUPS[name].ranges_deg[0]
     conditions = drawn(CONFIG, renderer, 1, name, (low, high), 1.0)
@@ -34,6 +34,16 @@ def test_conditions_share_the_pair(renderer, name):
             a.depth_m.shape != b.depth_m.shape or not np.array_equal(a.depth_m, b.depth_m)
             for a, b in ((condition.pair.current, none.pair.current), (condition.pair.goal, none.pair.goal))
         )
+
+
+def test_pivots_are_shifted_away_from_the_camera(renderer):
+    none, nominal, *shifted = drawn(CONFIG, renderer, 1, "pivot", (0, 60), 1.0)
+    assert not none.with_pivot
+    for condition in (nominal, *shifted):
+        assert condition.with_pivot
+        shift_m = condition.pair.pivot_m - none.pair.pivot_m
+        assert np.linalg.norm(shift_m) == pytest.approx(condition.level / 100)
+        assert shift_m[2] >= 0
 
 
 def test_lost_pixels_are_known_or_not_and_are_the_share(renderer):

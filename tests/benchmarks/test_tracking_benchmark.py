@@ -1,6 +1,7 @@
 """The sequences and the summary of the tracking benchmark."""
 
 import numpy as np
+import pytest
 from tracking import summarise
 from tracking_sequences import FARTHEST_RAD, FASTEST_RAD_S, KINDS, Sequence, motion
 
@@ -15,6 +16,7 @@ def test_the_motion_keeps_its_limits(rng):
     assert 0.5 * FASTEST_RAD_S < speed.max() <= 1.01 * FASTEST_RAD_S
 
 
+@pytest.mark.slow
 def test_sequences_are_what_they_are_called():
     objects = generated(2)
     for kind in KINDS:

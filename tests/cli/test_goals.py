@@ -55,6 +55,7 @@ def test_a_taught_goal_is_whole_and_states_what_it_tells(folder, capsys):
     assert "a loop can end unsure" in out
 
 
+@pytest.mark.slow
 def test_estimate_orient_and_replay_take_the_whole_goal(folder, capsys):
     code, out, _ = ended(capsys, "estimate", folder / "now.npz", folder / "goal.npz", "--json", "--estimator", "fast")
     assert abs(json.loads(out)["angle_deg"] - 40) < 2

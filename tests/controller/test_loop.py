@@ -40,6 +40,7 @@ def test_each_move_takes_the_share_eta(cell):
     assert result.moves == len(result.steps) - 1
 
 
+@pytest.mark.slow
 def test_a_right_multiplied_move_does_not_converge(cell):
     station, goal, R_goal = cell
 

@@ -29,6 +29,7 @@ def goal(station):
     return image
 
 
+@pytest.mark.slow
 def test_both_rotation_and_position_reach_the_goal(station, goal, tmp_path):
     place_m, R_goal = station.placement.center_m - AWAY_M, so3.exp(-np.array([0.3, -0.2, 0.1]))
     R_goal = so3.exp(np.array([0.3, -0.2, 0.1])).T @ station.R_camera_object

@@ -76,6 +76,7 @@ def test_gicp_is_deterministic(mesh):
     np.testing.assert_array_equal(first.R_goal_current, second.R_goal_current)
 
 
+@pytest.mark.slow
 def test_gicp_needs_its_further_starts(mesh):
     """At 60 degrees one start is often not enough; the score of other starts finds the answer."""
     pairs = [pair_of(mesh, seed, angle_deg=60) for seed in range(16)]
@@ -172,6 +173,7 @@ def test_a_pivot_of_a_centimetre_does_not_hurt_small_objects(mesh):
     assert np.degrees(so3.angle_difference(estimate.R_goal_current, R)) < 0.5
 
 
+@pytest.mark.slow
 def test_covariance_covers_the_errors(mesh):
     """The squared Mahalanobis distance of 3 numbers has median 2.4; within a factor of 4 is honest, 30 is not."""
     distances = []

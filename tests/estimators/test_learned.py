@@ -86,6 +86,7 @@ def test_rounds_make_it_better():
     assert np.median(errors[:, 1]) < 0.8 * np.median(errors[:, 0])
 
 
+@pytest.mark.slow
 def test_near_the_goal_the_exchanged_pair_is_asked_too(monkeypatch):
     swift = load_estimator("swift")
 

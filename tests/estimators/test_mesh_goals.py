@@ -28,6 +28,7 @@ def goal_of(mesh, pair, folder, scale_m=None):
     return Goal.from_mesh(folder / "part.stl", T, WORLD.camera, scale_m or pair.placement.scale_m)
 
 
+@pytest.mark.slow
 def test_a_goal_from_a_mesh_estimates_any_start(mesh, pair, tmp_path):
     estimate = load_estimator().estimate(pair.current, goal_of(mesh, pair, tmp_path))
     assert so3.angle_difference(estimate.R_goal_current, pair.R_goal_current) < np.radians(1.5)

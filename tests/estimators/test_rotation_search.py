@@ -37,6 +37,7 @@ def motion_of(pair):
     return Hypotheses(R[None], (center - R @ center)[None])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("angle_deg", [45, 90, 150])
 @pytest.mark.parametrize("given", [True, False])
 def test_far_rotations(mesh, angle_deg, given):
@@ -118,6 +119,7 @@ def test_a_distinctive_object_has_none(mesh):
     assert sum(not e.alternatives for e in estimates) >= 4
 
 
+@pytest.mark.slow
 def test_history_enlarges_the_evidence(mesh):
     """Earlier views between start and goal decide what two views that share little leave open."""
     rng = np.random.default_rng(4)

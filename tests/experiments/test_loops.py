@@ -29,6 +29,7 @@ def rows_of(config):
     return [row for trial in trials(config).values() for row in run_trial(trial)["rows"]]
 
 
+@pytest.mark.slow
 def test_all_systems_share_the_start_and_end_near_the_goal():
     rows = rows_of(SMALL)
     assert [f"{row['estimator']}/{row['strategy']}" for row in rows] == list(SMALL.systems)
@@ -44,6 +45,7 @@ def test_all_systems_share_the_start_and_end_near_the_goal():
     assert rows[0]["status"] == "converged"
 
 
+@pytest.mark.slow
 def test_the_strategy_is_the_one_named_whatever_the_confidence():
     config = replace(SMALL, systems=("test_loops:Confident/algorithm1", "test_loops:Confident/fusing"))
     slow, few = (int(row["moves"]) for row in rows_of(config))

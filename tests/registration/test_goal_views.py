@@ -104,6 +104,7 @@ def test_slipped_views_are_aligned(pair_and_goal):
         np.testing.assert_array_equal(view.t_goal_view_m, other.t_goal_view_m)
 
 
+@pytest.mark.slow
 def test_the_pivot_of_views_without_translation_is_found(pair_and_goal):
     pair, goal = pair_and_goal
     center = pair.placement.center_m
@@ -123,6 +124,7 @@ def test_a_wrong_rotation_is_named(pair_and_goal, angle_deg):
     assert len(aligned.views) == 2
 
 
+@pytest.mark.slow
 def test_an_image_of_another_object_is_named(pair_and_goal, mesh):
     _, goal = pair_and_goal
     mirrored = mesh.copy()

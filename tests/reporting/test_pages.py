@@ -146,6 +146,7 @@ def test_loop_without_the_truth(tmp_path, loop):
     assert figure.read_bytes().startswith(b"%PDF")
 
 
+@pytest.mark.slow
 def test_a_loop_of_40_images_is_written_in_time_and_small(tmp_path, loop):
     goal, result, _ = loop
     steps = tuple(replace(result.steps[k % 4], index=k, hypotheses=((np.eye(3), 1.5),)) for k in range(40))

@@ -200,6 +200,7 @@ def check_written(written):
             assert Image.open(path).width > 500
 
 
+@pytest.mark.slow
 def test_object_sets(setting):
     folder, findings, written = made(ObjectSets(full=Full(count=12), shown=4), setting)
     check_written(written)
@@ -207,6 +208,7 @@ def test_object_sets(setting):
     assert len(read_table(folder / "rows.csv.gz", ["symmetry_residual"])) == 22
 
 
+@pytest.mark.slow
 def test_best_worst(setting):
     figure = BestWorst(pairs=4)
     folder, findings, written = made(figure, setting)

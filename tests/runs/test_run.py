@@ -52,6 +52,7 @@ def test_an_interrupted_run_continues(tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {".lock", "config.json", "more.csv.gz", "rows.csv.gz"}
 
 
+@pytest.mark.slow
 def test_rows_do_not_depend_on_the_workers(tmp_path):
     for workers in (1, 2):
         run(tmp_path / str(workers), [5, 2, 8, 1], workers=workers)

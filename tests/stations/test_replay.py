@@ -63,6 +63,7 @@ def test_a_replay_decides_as_the_loop_did(tmp_path, station, strategy):
     same(orient(replayed, replayed.goal().image, ByNumber(0.9), strategy, limits=NOW), first)
 
 
+@pytest.mark.slow
 def test_failures_are_recorded_and_come_again(tmp_path, station):
     goal = station.capture_goal()
     faulty = FaultyStation(station, np.random.default_rng(0), planned=["refused", "gone", "stale", "empty"])

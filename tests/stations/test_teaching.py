@@ -79,6 +79,7 @@ def test_one_view_moves_nothing(station):
     assert station.rotated_deg == []
 
 
+@pytest.mark.slow
 def test_only_what_can_be_reached_is_visited(mesh):
     station = Watched(mesh, reach_deg=70.0)
     taught = teach(station, views=3, captures=1, limits=NOW)

@@ -170,7 +170,9 @@ class _File:
         from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
         from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 
-        fields = [PackedElementField(name=x, offset=4 * k, type=PackedElementField.FLOAT32) for k, x in enumerate("xyz")]
+        fields = [
+            PackedElementField(name=x, offset=4 * k, type=PackedElementField.FLOAT32) for k, x in enumerate("xyz")
+        ]
         message = PointCloud(
             frame_id=frame, point_stride=12, fields=fields, data=image.points().astype("<f4").tobytes()
         )
