@@ -79,6 +79,7 @@ def test_other_views_decide_whether_equal_orientations_are_one(knob, status):
     assert result.moves <= 10
 
 
+@pytest.mark.slow
 def test_where_other_sides_are_not_visible_equal_orientations_end_unsure():
     class OneSided(Hiding):
         """Shows one side of the object only."""

@@ -37,6 +37,7 @@ def pairs(camera, turn_deg):
         yield *images, R, placement.center_m
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["paper", "swift"])
 @pytest.mark.parametrize("camera", CAMERAS.values(), ids=CAMERAS)
 def test_known_rotations_whatever_the_camera(name, camera):

@@ -69,6 +69,7 @@ def test_deterministic(mesh):
     assert first.confidence == second.confidence
 
 
+@pytest.mark.slow
 def test_many_are_the_same_as_one_by_one(mesh):
     pairs = [pair_of(mesh, seed, 40) for seed in range(2)]
     estimator = RotationSearch("fast")
@@ -99,6 +100,7 @@ def test_unknown_effort():
         RotationSearch("thorogh")
 
 
+@pytest.mark.slow
 def test_a_symmetric_object_has_alternatives_with_the_truth_among_them():
     """A box of three different sides: rotations by 180 degrees about its axes look alike."""
     found = []

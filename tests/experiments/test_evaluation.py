@@ -71,6 +71,7 @@ def test_estimators_meet_the_same_pairs(finished):
     assert all(len(angles) == 1 for angles in by_cell.values())
 
 
+@pytest.mark.slow
 def test_goals_of_several_views_are_of_the_same_pairs(finished, tmp_path):
     config = replace(TINY, estimators=("gicp",), goal_views=(1, 3), pairs=1, noise_mm=(0.0,))
     list(evaluate(config, tmp_path / "run"))

@@ -114,6 +114,7 @@ def test_the_pivot_of_views_without_translation_is_found(pair_and_goal):
         assert np.linalg.norm(moved, axis=1).max() < 0.004
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("angle_deg", [40, 170])
 def test_a_wrong_rotation_is_named(pair_and_goal, angle_deg):
     _, goal = pair_and_goal

@@ -24,6 +24,7 @@ def digest(seed: int, indices: range) -> str:
     return hashlib.sha256(b"".join(mesh.vertices.tobytes() + mesh.faces.tobytes() for mesh in meshes)).hexdigest()
 
 
+@pytest.mark.slow
 def test_same_bytes_in_another_process():
     code = "import test_shapes; print(test_shapes.digest(9, range(20)))"
     run = subprocess.run([sys.executable, "-c", code], cwd=__file__.rpartition("/")[0], capture_output=True, text=True)
