@@ -38,6 +38,7 @@ DISTINCT_RAD = np.radians(12)  # two hypotheses closer than this are one answer
 ALTERNATIVE_ABOVE = 0.25  # of the answer's probability: a less likely hypothesis is no alternative
 SURE = 0.9  # probability above which a known pivot is not doubted, and a hypothesis is as good as the answer
 CONTRADICTED2 = 5.0  # squared Mahalanobis distance of a motion from leaving the pivot in place that contradicts it
+IMPOSSIBLE2 = 50.0  # the same, however unlikely that motion is
 DOUBTED = 0.49  # largest confidence of an answer that part of the image contradicts
 LEAST_COVISIBLE, UNSUPPORTED = 0.05, 0.1  # with a smaller co-visible inlier ratio the confidence is at most the latter
 
@@ -82,8 +83,9 @@ class RotationSearch:
             return verified
         freely = self._verified(verified.problem.without_pivot)
         best = freely.found.hypotheses[np.array([freely.best])]
-        contradicted = prior.mahalanobis2(best.R, best.t_m)[0] > CONTRADICTED2
-        if not contradicted or freely.confidence <= max(verified.confidence, DOUBTED):
+        distance2 = prior.mahalanobis2(best.R, best.t_m)[0]
+        more_likely = freely.confidence > max(verified.confidence, DOUBTED)
+        if distance2 <= (CONTRADICTED2 if more_likely else IMPOSSIBLE2):
             return verified
         error_cm = 100 * prior.error_m(best.R[0], best.t_m[0])
         return freely.with_warning(
