@@ -175,7 +175,7 @@ def _shown_m(real: "DepthImage", goal: "Goal", center_m: np.ndarray) -> np.ndarr
     estimate = load_estimator().estimate(real, goal)
     if (estimate.confidence or 0.0) < SURE:
         print(
-            f"reorient: warning: the capture does not surely show this mesh (confidence "
+            f"reorient: warning: the capture may not show this mesh (confidence "
             f"{format_probability(estimate.confidence)}): is it the same object, in this unit, not mirrored?",
             file=sys.stderr,
         )

@@ -1,7 +1,7 @@
 """Guidance for a person who rotates an object by hand before a camera until it matches the goal.
 
 A ``Guide`` takes one image after another, tracks the rotation that remains, and makes a ``GuideState`` of each: what a
-view shows and what the worker is told. It moves nothing.
+view shows and the instruction to the worker. It moves nothing.
 """
 
 from collections.abc import Callable, Iterable, Iterator

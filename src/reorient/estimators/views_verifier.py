@@ -69,8 +69,10 @@ def views_features(
 ) -> Float[np.ndarray, "k g"]:
     """The features, one column for each of ``VIEWS_FEATURES``; ``each``: those of each pair, with its log-odds."""
     summary = _summary(each, log_odds)
-    told = np.stack([[x[:, FEATURES.index(name)] for name in _SUMMARISED] for x in each])  # (pairs, names, k)
-    stated = np.stack([told.min(axis=0), told.mean(axis=0), told.max(axis=0)], axis=1).reshape(-1, len(hypotheses))
+    of_pairs = np.stack([[x[:, FEATURES.index(name)] for name in _SUMMARISED] for x in each])  # (pairs, names, k)
+    stated = np.stack([of_pairs.min(axis=0), of_pairs.mean(axis=0), of_pairs.max(axis=0)], axis=1).reshape(
+        -1, len(hypotheses)
+    )
     k, prior = len(hypotheses), problem.prior
     own = [
         so3.angle(hypotheses.R),

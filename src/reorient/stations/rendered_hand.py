@@ -1,7 +1,7 @@
 """A simulated person who rotates an object by hand before a camera, as a guide instructs: for tests and trials.
 
 The hand sees each state of the guide after 0.3 s, misjudges axis and angle, trembles, sometimes moves the wrong way,
-and stays still where it is told to. Time passes by images alone, so a trial runs as fast as the machine, and the same
+and stays still on instruction. Time passes by images alone, so a trial runs as fast as the machine, and the same
 seed gives the same trial.
 """
 
