@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from reorient import so3
+from reorient.estimators.image_verifier import with_images
 from reorient.estimators.verifier import FEATURES, Verifier, features, load_verifier
 from reorient.registration import INLIER_TOLERANCE, Hypotheses, Problem
 
@@ -49,7 +50,8 @@ def assess(
     each = [features(*pair) for pair in problem.each_pair(hypotheses)]
     log_odds = np.stack([verifier.log_odds(x) for x in each])
     if len(each) == 1:
-        return log_odds[0], verifier.probability(log_odds[0], effort)
+        by_trees = log_odds[0], verifier.probability(log_odds[0], effort)
+        return with_images(problem, hypotheses, each[0], *by_trees, effort)
     trained = load_views_verifier()
     if trained is None and len(problem.goal_views) == 1:
         return log_odds.mean(axis=0), verifier.probability(log_odds.mean(axis=0), effort)

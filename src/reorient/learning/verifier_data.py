@@ -16,6 +16,7 @@ from numpy.random import Generator
 from reorient import so3
 from reorient.errors import ReorientError, check_range, unknown_name
 from reorient.estimators.base import History
+from reorient.estimators.image_evidence import evidence_images
 from reorient.estimators.search import EFFORTS, search
 from reorient.estimators.verifier import FEATURES, features, load_verifier
 from reorient.estimators.views_verifier import VIEWS_FEATURES, views_features
@@ -70,6 +71,10 @@ class VerifierData:
     """Largest error of the stated rotations of further goal views."""
     effort: str = "normal"
     """Effort of the search that makes the hypotheses: fast, normal or thorough."""
+    least_deg: float = 0.0
+    """Only the ranges of rotation angles (0-30, 30-60, 60-90, 90-180 degrees) from here on."""
+    images: bool = False
+    """Keep the evidence images of the hypotheses, too: about 50 kB a pair."""
     seed: int = 0
     """Seed of the pairs."""
 
@@ -83,8 +88,16 @@ class VerifierData:
         check_range(self, "goal_views", low=1, high=ALL_ROUND)
         check_range(self, "views_now", low=1, high=1 + OBSERVATIONS)
         check_range(self, "slip_deg", high=180)
+        check_range(self, "least_deg", high=RANGES_DEG[-1][0])
         check_range(self, "in_hand", "static", "wrong_pivot", high=1)
         check_range(self, "most_wrong_focal", high=1, below=True)
+        if self.images and self.several_views:
+            raise ReorientError("images and several views: expected evidence images of one view now and one goal view")
+
+    @property
+    def ranges_deg(self) -> tuple[tuple[int, int], ...]:
+        """The ranges of rotation angles, of which the pairs of an object have one after the other."""
+        return tuple(x for x in RANGES_DEG if x[0] >= self.least_deg)
 
     @property
     def several_views(self) -> bool:
@@ -142,7 +155,7 @@ def _hypotheses(config: VerifierData, renderer: Renderer, number: int) -> Iterat
     group, world = rotation_group(renderer.mesh), load_world(config.world)
     for index in range(config.pairs):
         rng = np.random.default_rng([config.seed, number, index])
-        low, high = np.radians(RANGES_DEG[index % len(RANGES_DEG)])
+        low, high = np.radians(config.ranges_deg[index % len(config.ranges_deg)])
         try:
             held = world.sometimes_in_hand(rng, config.in_hand)
             sensor = randomised(_noise_m(rng, config.most_noise_mm))
@@ -169,7 +182,7 @@ def _hypotheses(config: VerifierData, renderer: Renderer, number: int) -> Iterat
             "pair": np.full(len(errors), number * config.pairs + index),
             "object": np.full(len(errors), number),
             "angle_deg": np.full(len(errors), np.degrees(low), np.float32),
-        }
+        } | ({"images": evidence_images(problem, hypotheses)} if config.images else {})
 
 
 def _with_static_part(rng: Generator, renderer: Renderer, pair: Pair) -> Pair:
