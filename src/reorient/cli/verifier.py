@@ -1,4 +1,4 @@
-"""The verifier's verbs: make its data, train it."""
+"""The verifiers' verbs: make their data, train them."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -6,6 +6,7 @@ from pathlib import Path
 from reorient.cli.arguments import Positional
 from reorient.cli.learning import require
 from reorient.cli.progress import show_progress
+from reorient.learning.recipes import ImageTraining
 from reorient.learning.verifier_data import VerifierData
 from reorient.runs.pool import Pool
 
@@ -22,6 +23,7 @@ class Make:
     Examples:
         reorient verifier make out/verifier --count 5000 --workers 2
         reorient verifier make out/views --count 1500 --object-seed 1 --goal-views 2 3 4 5 6 --views-now 1 1 2 3
+        reorient verifier make out/images --count 2000 --object-seed 2 --least-deg 60 --images
     """
 
     out: Positional[Path]
@@ -68,3 +70,42 @@ class Train:
         data = read(self.data) if self.also is None else read(self.data).and_also(read(self.also))
         for name, value in train(data, self.out, others).items():
             print(f"{name}: {value:.4g}")
+
+
+@dataclass(frozen=True)
+class TrainImages:
+    """Train the verifier on images: a network that decides where the boosted trees are unsure.
+
+    It continues in the folder of an interrupted run. Needs the extra ``train``.
+
+    Examples:
+        reorient verifier train-images out/images --run-folder out/run --out out/verifier-images.onnx
+        reorient verifier train-images out/images out/more --run-folder out/2 --out out/2.onnx --start out/run/last.ckpt
+    """
+
+    data: Positional[tuple[Path, ...]]
+    """Folders of ``reorient verifier make --images``, of different objects."""
+    run_folder: Path
+    """Folder of the run: checkpoint and figures of each round."""
+    out: Path
+    """File to write (.onnx)."""
+    start: Path | None = None
+    """Checkpoint (.ckpt) of another run, whose weights this one begins with."""
+    fast: Path | None = None
+    """Folder of other objects with ``--effort fast``, to calibrate that effort."""
+    config: ImageTraining = field(default_factory=ImageTraining)
+
+    def run(self) -> None:
+        """Read, train, calibrate, write, print."""
+        require("train", "sklearn", "torch", "onnx")
+        from reorient.learning.image_sets import read_sets
+        from reorient.learning.image_training import Run, finish
+
+        others = {} if self.fast is None else {"fast": read_sets([self.fast], "fast")}
+        training = Run(read_sets(self.data), self.run_folder, self.config, self.start)
+        for done in training.go_on():
+            print(done.line, flush=True)
+        for figures in training.compared():
+            print(", ".join(f"{name} {value:.4g}" for name, value in figures.items()))
+        for effort, (scale, shift) in finish(training, self.out, others).items():
+            print(f"{effort}: scale {scale:.3f}, shift {shift:.3f}")

@@ -1,7 +1,7 @@
 """The verifier on images: where the boosted trees are unsure, a network compares the evidence images of hypotheses.
 
-It adds to the log-odds of the trees (``reorient.estimators.verifier``). The weights are ``verifier-images.onnx``; the
-card is ``verifier-images.md``; without that file the trees decide alone. Training: ``reorient.learning.image_training``.
+It adds to the log-odds of the trees (``reorient.estimators.verifier``). The weights are ``verifier-images.onnx``, the
+card is ``verifier-images.md``; without weights the trees decide alone. ``reorient.learning.image_training`` trains it.
 """
 
 import json
@@ -43,7 +43,10 @@ class ImageVerifier:
     """By effort: scale and shift of the chosen hypothesis's log-odds, from held-out objects."""
 
     def log_odds(
-        self, images: UInt8[np.ndarray, "k 2 c s s"], features: Float[np.ndarray, "k f"], by_trees: Float[np.ndarray, " k"]
+        self,
+        images: UInt8[np.ndarray, "k 2 c s s"],
+        features: Float[np.ndarray, "k f"],
+        by_trees: Float[np.ndarray, " k"],
     ) -> Float[np.ndarray, " k"]:
         """Log-odds that the hypotheses of one set are right; ``by_trees``: those of the trees."""
         inputs = {"images": images, "features": features.astype(np.float32), "log_odds": by_trees.astype(np.float32)}
@@ -64,9 +67,10 @@ def with_images(
     effort: str,
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     """Log-odds and probabilities of the hypotheses of a problem of two views, given the features, log-odds and
-    probabilities of the trees; these themselves where the trees are sure, and without weights."""
+    probabilities of the trees; these themselves where the trees are sure, without weights, and after a search of an
+    effort for which the network is not calibrated."""
     verifier, shown = load_image_verifier(), shown_rows(log_odds, probability)
-    if verifier is None or not len(shown):
+    if verifier is None or effort not in verifier.calibration or not len(shown):
         return log_odds, probability
     images = evidence_images(problem, hypotheses[shown])
     answer = verifier.log_odds(images, features[shown], log_odds[shown])

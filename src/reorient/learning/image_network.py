@@ -27,7 +27,7 @@ class Sets:
         """``of``: the set of each row; None: all of one."""
         self._of = of
 
-    def mean(self, x: Float[Tensor, "n *shape"]) -> Float[Tensor, "n *shape"]:
+    def mean(self, x: Float[Tensor, "n ..."]) -> Float[Tensor, "n ..."]:
         """The mean of each row's set."""
         if self._of is None:
             return x.mean(dim=0, keepdim=True).expand_as(x)
@@ -40,13 +40,13 @@ class Sets:
         if self._of is None:
             return x.amax(dim=0, keepdim=True).expand_as(x)
         count = int(self._of.max()) + 1
-        return torch.full((count, x.shape[1]), -torch.inf).index_reduce(0, self._of, x, "amax")[self._of]
+        return torch.full((count, x.shape[1]), -torch.inf, dtype=x.dtype).index_reduce(0, self._of, x, "amax")[self._of]
 
 
 class ImageNetwork(nn.Module):
     """Log-odds that hypotheses are right, from evidence images, features of the trees and their log-odds."""
 
-    def __init__(self, features: int) -> None:
+    def __init__(self, features: int, dropout: float = 0.0) -> None:
         super().__init__()
         a, b, c = WIDTHS
         self.register_buffer("mean", torch.zeros(features))
@@ -68,6 +68,7 @@ class ImageNetwork(nn.Module):
         self.alone = nn.Linear(4 * c + 32, HIDDEN)
         self.in_set = nn.Linear(3 * HIDDEN, HIDDEN)
         self.last = nn.Linear(HIDDEN, 1)
+        self.dropout = nn.Dropout(dropout)
         nn.init.zeros_(self.last.weight)  # begins with the answer of the trees
         nn.init.zeros_(self.last.bias)
 
@@ -80,16 +81,16 @@ class ImageNetwork(nn.Module):
     ) -> Float[Tensor, " n"]:
         """Log-odds of hypotheses of the set ``of`` each; None: all of one set. ``log_odds``: those of the trees."""
         sets, n = Sets(of), images.shape[0]
-        x = planes(images.flatten(0, 1))
+        x = planes(images.flatten(0, 1)).contiguous(memory_format=torch.channels_last)
         others = self.others(x).unflatten(0, (n, 2))
         x = self.body(self.own(x) + sets.mean(others).flatten(0, 1))
-        pooled = torch.cat([x.mean(dim=(2, 3)), x.amax(dim=(2, 3))], dim=1).unflatten(0, (n, 2))
+        pooled = torch.cat([x.mean(dim=(2, 3)), x.amax(dim=(2, 3))], dim=1).float().unflatten(0, (n, 2))
         both = torch.cat([pooled.mean(dim=1), pooled.amax(dim=1)], dim=1)
         scaled = ((features - self.mean) / self.deviation).clamp(-5, 5)
         scalars = F.relu(self.scalars(torch.cat([scaled, log_odds[:, None] / 5], dim=1)))
-        alone = F.relu(self.alone(torch.cat([both, scalars], dim=1)))
+        alone = F.relu(self.alone(self.dropout(torch.cat([both, scalars], dim=1))))
         in_set = torch.cat([alone, alone - sets.mean(alone), sets.largest(alone)], dim=1)
-        return log_odds + self.last(F.relu(self.in_set(in_set)))[:, 0]
+        return log_odds + self.last(F.relu(self.in_set(self.dropout(in_set))))[:, 0]
 
 
 def planes(images: UInt8[Tensor, "n c s s"]) -> Float[Tensor, "n p s s"]:

@@ -26,7 +26,7 @@ class ImageSets:
     object: Int[np.ndarray, " n"]
     angle_deg: Float[np.ndarray, " n"]
     """The least of the range of angles of the pair."""
-    first: Int[np.ndarray, " s"]
+    first: Int[np.ndarray, " m"]
     """The first row of each set."""
 
     @property
@@ -44,15 +44,15 @@ class ImageSets:
         return np.repeat(np.arange(len(self)), self.sizes)
 
     @property
-    def sizes(self) -> Int[np.ndarray, " s"]:
+    def sizes(self) -> Int[np.ndarray, " m"]:
         """The number of hypotheses of each set."""
         return np.diff([*self.first, len(self.log_odds)])
 
-    def rows(self, sets: Int[np.ndarray, " b"]) -> Int[np.ndarray, " m"]:
+    def rows(self, sets: Int[np.ndarray, " b"]) -> Int[np.ndarray, " r"]:
         """The rows of these sets, one set after the other."""
         return np.concatenate([np.arange(self.first[i], self.first[i] + self.sizes[i]) for i in sets])
 
-    def held_out(self, share: float) -> Bool[np.ndarray, " s"]:
+    def held_out(self, share: float) -> Bool[np.ndarray, " m"]:
         """The sets of the objects that are not trained on; whether an object is does not depend on the others."""
         objects = np.unique(self.object)
         draw = [np.random.default_rng([0, int(x)]).random() for x in objects]

@@ -15,42 +15,17 @@ from pathlib import Path
 import numpy as np
 import onnx
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
-from reorient.errors import check_range
 from reorient.estimators.image_evidence import CHANNELS, SIZE
-from reorient.estimators.search import EFFORTS
 from reorient.estimators.verifier import FEATURES
 from reorient.learning.image_network import ImageNetwork, loss
 from reorient.learning.image_sets import ImageSets, batch_of
+from reorient.learning.recipes import ImageTraining
 from reorient.learning.trees import fit_platt
 from reorient.learning.weights import last_state, loading
 from reorient.runs.files import make_folder, replacing
 from reorient.runs.provenance import keep_record, run_record
-
-
-@dataclass(frozen=True)
-class ImageTraining:
-    """Settings of the training of the verifier on images."""
-
-    rounds: int = 40
-    """Rounds of the whole run; each ends with a checkpoint and the figures of the held-out objects."""
-    steps: int = 200
-    """Steps of a round."""
-    sets: int = 24
-    """Sets of hypotheses in a step."""
-    lr: float = 2e-3
-    """Largest learning rate; it rises in the first round and falls to 0 as a cosine."""
-    decay: float = 0.02
-    """Weight decay."""
-    held_out: float = 0.2
-    """Share of the objects that calibrate and test the network."""
-
-    def __post_init__(self) -> None:
-        """Raises ReorientError for values out of range."""
-        check_range(self, "rounds", "steps", "sets", low=1)
-        check_range(self, "lr", "decay")
-        check_range(self, "held_out", high=1, below=True)
 
 
 @dataclass(frozen=True)
@@ -69,6 +44,14 @@ class Round:
     right_at_best: float
     """Share of the held-out sets with a right hypothesis."""
 
+    @property
+    def line(self) -> str:
+        """The figures as a line of text."""
+        return (
+            f"round {self.number}/{self.rounds}: loss {self.loss:.4f}, held-out {self.held_out_loss:.4f}, right "
+            f"{self.right:.1%} (trees {self.right_by_trees:.1%}, best {self.right_at_best:.1%}), {self.seconds:.0f} s"
+        )
+
 
 class Run:
     """A training in a folder, from its last checkpoint on."""
@@ -84,7 +67,7 @@ class Run:
         described = run_record(config, sets=len(data), hypotheses=len(data.log_odds), start=start and str(start))
         keep_record(out / "config.json", described, ("config", "sets", "hypotheses", "start"))
         torch.manual_seed(0)
-        self.network = ImageNetwork(len(FEATURES))
+        self.network = ImageNetwork(len(FEATURES), config.dropout).to(memory_format=torch.channels_last)
         rows = data.features[data.rows(self.training_sets)]
         self.network.mean.copy_(torch.from_numpy(rows.mean(axis=0)))
         self.network.deviation.copy_(torch.from_numpy(rows.std(axis=0) + 1e-6))
@@ -116,6 +99,7 @@ class Run:
     def _round(self, number: int) -> Round:
         begin, config, total = time.monotonic(), self.config, 0.0
         rng = np.random.default_rng([1, number])
+        torch.manual_seed(number)  # of the dropout
         self.network.train()
         for step in range(config.steps):
             done = (number * config.steps + step) / (config.rounds * config.steps)
@@ -123,29 +107,56 @@ class Run:
             self.optimizer.param_groups[0]["lr"] = rate * (1 + math.cos(math.pi * done)) / 2
             chosen = rng.choice(self.training_sets, min(config.sets, len(self.training_sets)), replace=False)
             images, features, log_odds, right, of = map(torch.from_numpy, batch_of(self.data, chosen, rng))
-            answer = loss(self.network(images, features, log_odds, of), right, of, len(chosen))
+            with torch.autocast("cpu", torch.bfloat16):
+                answers = self.network(images, features, log_odds, of)
+            answer = loss(answers.float(), right, of, len(chosen))
             self.optimizer.zero_grad()
             answer.backward()
             torch.nn.utils.clip_grad_norm_(self.network.parameters(), 5.0)
             self.optimizer.step()
             total += answer.item()
-        held = self.held_out_sets
-        log_odds = self.log_odds(held)
-        rows = self.data.rows(held)
-        of = np.repeat(np.arange(len(held)), self.data.sizes[held])
+        answers = log_odds_of(self.network, self.data, self.held_out_sets)
+        rows, of = self.held_out_rows
         right = self.data.right[rows]
-        figures = selection(of, right, log_odds), selection(of, right, self.data.log_odds[rows])
-        held_loss = float(loss(*map(torch.from_numpy, (log_odds, right, of)), len(held)))
-        seconds = time.monotonic() - begin
-        best = selection(of, right, right.astype(float))
-        return Round(
-            number + 1, config.rounds, round(seconds, 1), total / config.steps, held_loss,
-            *(float(x.mean()) for x in (*figures, best)),
-        )  # fmt: skip
+        shares = [
+            float(right[best_of(of, score)].mean())
+            for score in (answers, self.data.log_odds[rows], right.astype(float))
+        ]
+        held_out_loss = float(loss(*map(torch.from_numpy, (answers, right, of)), len(self.held_out_sets)))
+        seconds = round(time.monotonic() - begin, 1)
+        return Round(number + 1, config.rounds, seconds, total / config.steps, held_out_loss, *shares)
 
-    def log_odds(self, sets: Int[np.ndarray, " b"]) -> Float[np.ndarray, " m"]:
-        """The network's log-odds of the hypotheses of some sets."""
-        return log_odds_of(self.network, self.data, sets)
+    @property
+    def held_out_rows(self) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
+        """The rows of the held-out sets, and the number of the set of each."""
+        sets = self.held_out_sets
+        return self.data.rows(sets), np.repeat(np.arange(len(sets)), self.data.sizes[sets])
+
+    def compared(self) -> list[dict[str, float]]:
+        """By the least angle of the pairs: held-out sets, share right by the network, by the trees and at best, and
+        the sets that only the network (won) or only the trees (lost) get right."""
+        rows, of = self.held_out_rows
+        right, angle_deg = self.data.right[rows], self.data.angle_deg[rows]
+        answers = log_odds_of(self.network, self.data, self.held_out_sets)
+        network, trees, best = (
+            right[best_of(of, score)] for score in (answers, self.data.log_odds[rows], right.astype(float))
+        )
+        figures = []
+        for least_deg in np.unique(angle_deg):
+            of_range = angle_deg[best_of(of, answers)] == least_deg
+            figures.append(
+                {
+                    "from_deg": float(least_deg),
+                    "sets": int(of_range.sum()),
+                    **{
+                        name: float(x[of_range].mean())
+                        for name, x in (("right", network), ("trees", trees), ("best", best))
+                    },
+                    "won": int((network & ~trees)[of_range].sum()),
+                    "lost": int((trees & ~network)[of_range].sum()),
+                }
+            )
+        return figures
 
 
 @torch.inference_mode()
@@ -159,13 +170,6 @@ def log_odds_of(network: ImageNetwork, data: ImageSets, sets: Int[np.ndarray, " 
     return np.concatenate(parts)
 
 
-def selection(
-    of: Int[np.ndarray, " n"], right: Bool[np.ndarray, " n"], score: Float[np.ndarray, " n"]
-) -> Bool[np.ndarray, " s"]:
-    """Whether the row with the highest score of each set is right."""
-    return right[best_of(of, score)]
-
-
 def best_of(of: Int[np.ndarray, " n"], score: Float[np.ndarray, " n"]) -> Int[np.ndarray, " s"]:
     """The row with the highest score of each set."""
     order = np.lexsort((-score, of))
@@ -175,7 +179,7 @@ def best_of(of: Int[np.ndarray, " n"], score: Float[np.ndarray, " n"]) -> Int[np
 def finish(run: Run, out: Path, others: Mapping[str, ImageSets] | None = None) -> dict[str, tuple[float, float]]:
     """Calibrate the network on the held-out objects and write it (.onnx); returns scale and shift by effort.
 
-    ``others``: data of other efforts, of other objects; an effort without data is calibrated as "normal".
+    ``others``: data of other efforts, of other objects; after a search of an effort without data the trees decide.
     """
     held = {"normal": (run.data, run.held_out_sets)}
     held |= {effort: (data, np.arange(len(data))) for effort, data in (others or {}).items()}
@@ -184,7 +188,6 @@ def finish(run: Run, out: Path, others: Mapping[str, ImageSets] | None = None) -
         log_odds, rows = log_odds_of(run.network, data, sets), data.rows(sets)
         chosen = best_of(np.repeat(np.arange(len(sets)), data.sizes[sets]), log_odds)
         calibration[effort] = fit_platt(log_odds[chosen], data.right[rows][chosen])
-    calibration = {effort: calibration.get(effort, calibration["normal"]) for effort in EFFORTS}
     export(run.network, out, calibration)
     return calibration
 

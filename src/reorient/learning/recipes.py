@@ -1,4 +1,7 @@
-"""Training recipes: the paper's, that of swift, and a tiny one for tests. No torch here: the CLI imports this file."""
+"""Training recipes: the paper's, that of swift, a tiny one for tests, that of the verifier on images.
+
+No torch here: the CLI imports this file.
+"""
 
 import math
 from dataclasses import dataclass
@@ -56,6 +59,32 @@ class Training:
         check_range(self, "rotated", high=1)
         check_range(self, "dropout", high=1, below=True)
         check_range(self, "lr", high=1, above=True, below=True)
+
+
+@dataclass(frozen=True)
+class ImageTraining:
+    """Settings of the training of the verifier on images."""
+
+    rounds: int = 40
+    """Rounds of the whole run; each ends with a checkpoint and the figures of the held-out objects."""
+    steps: int = 200
+    """Steps of a round."""
+    sets: int = 24
+    """Sets of hypotheses in a step."""
+    lr: float = 2e-3
+    """Largest learning rate; it rises in the first round and falls to 0 as a cosine."""
+    decay: float = 0.1
+    """Weight decay."""
+    dropout: float = 0.3
+    """Share of the last layers' inputs left out in a step."""
+    held_out: float = 0.2
+    """Share of the objects that calibrate and test the network."""
+
+    def __post_init__(self) -> None:
+        """Raises ReorientError for values out of range."""
+        check_range(self, "rounds", "steps", "sets", low=1)
+        check_range(self, "lr", "decay")
+        check_range(self, "dropout", "held_out", high=1, below=True)
 
 
 PRESETS = {

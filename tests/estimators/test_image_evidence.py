@@ -1,0 +1,111 @@
+"""Evidence images: their laws, and the choice of the hypotheses that a network sees."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from reorient import so3
+from reorient.errors import ReorientError
+from reorient.estimators.image_evidence import (
+    CHANNELS,
+    COMPARED,
+    NOTHING,
+    OUTSIDE,
+    SIZE,
+    UNKNOWN_HERE,
+    UNKNOWN_THERE,
+    evidence_images,
+)
+from reorient.estimators.image_verifier import MOST, SURE, load_image_verifier, shown_rows
+from reorient.registration import Hypotheses, Problem, build_problem
+from reorient.world.pairs import sample_pair
+from reorient.world.rendering import Renderer, load_world
+from reorient.world.sensing import Sensor
+
+DIFFERENCE, STATE, NORMALS = (CHANNELS.index(name) for name in ("difference", "state", "normals"))
+
+
+@pytest.fixture(scope="module")
+def pair(mesh):
+    turn = np.radians(70)
+    return sample_pair(np.random.default_rng(4), Renderer(mesh), load_world("benchmark"), Sensor(), turn, turn)
+
+
+def still(*shifts_m):
+    """No rotation, with translations."""
+    return Hypotheses(np.tile(np.eye(3), (len(shifts_m), 1, 1)), np.array(shifts_m, float))
+
+
+def test_an_image_agrees_with_itself(pair):
+    images = evidence_images(build_problem(pair.goal, pair.goal, None), still([0, 0, 0]))
+    assert images.shape == (1, 2, len(CHANNELS), SIZE, SIZE)
+    shown = images[:, :, STATE] != NOTHING
+    assert shown.mean() > 0.2
+    assert np.all(images[:, :, STATE][shown] == COMPARED)
+    assert np.all(images[:, :, DIFFERENCE][shown] == 128)
+    assert np.all(images[:, :, NORMALS][shown] == 255)
+    np.testing.assert_array_equal(images[:, 0], images[:, 1])
+
+
+def test_the_object_fills_its_images(pair):
+    state = evidence_images(build_problem(pair.current, pair.goal, None), still([0, 0, 0]))[0, :, STATE]
+    for way in state != NOTHING:
+        rows, columns = (np.nonzero(way.any(axis=axis))[0] for axis in (1, 0))
+        assert max(np.ptp(rows), np.ptp(columns)) >= SIZE - 3
+        assert abs(rows[0] + rows[-1] - (SIZE - 1)) <= 2
+        assert abs(columns[0] + columns[-1] - (SIZE - 1)) <= 2
+
+
+def test_nearer_points_violate_free_space_and_farther_ones_are_occluded(pair):
+    problem = build_problem(pair.goal, pair.goal, None)
+    nearer, farther, sideways = evidence_images(problem, still([0, 0, -0.01], [0, 0, 0.01], [0.5, 0, 0]))[:, 0]
+    assert np.all(nearer[DIFFERENCE][nearer[STATE] == COMPARED] < 128)
+    assert np.mean(farther[DIFFERENCE][farther[STATE] == COMPARED] > 128) > 0.99
+    assert set(np.unique(sideways[STATE])) <= {NOTHING, *range(OUTSIDE + 1, 256)}
+    assert not sideways[DIFFERENCE].any()
+
+
+def test_exchanged_images_and_inverse_motions_exchange_the_two_ways(pair, rng):
+    motions = Hypotheses(so3.exp(rng.normal(size=(5, 3))), rng.normal(size=(5, 3)) * 0.01)
+    here = evidence_images(build_problem(pair.current, pair.goal, None), motions)
+    there = evidence_images(build_problem(pair.goal, pair.current, None), motions.inverse)
+    np.testing.assert_array_equal(here, there[:, ::-1])
+
+
+def test_unknown_pixels_never_violate(pair):
+    problem = build_problem(pair.current, replace(pair.goal, unknown=~pair.goal.valid), None)
+    motions = problem.start(so3.grid(50)[:20])
+    images = evidence_images(problem, motions)
+    assert not np.any(images[:, 0, STATE] >= OUTSIDE)
+    assert np.any(images[:, 0, STATE] == UNKNOWN_THERE)
+    assert np.all(images[:, 1, STATE][images[:, 1, STATE] < COMPARED] == UNKNOWN_HERE)
+    known = evidence_images(build_problem(pair.current, pair.goal, None), motions)
+    assert np.any(known[:, 0, STATE] >= OUTSIDE)  # or the law above would say nothing
+
+
+def test_the_true_motion_explains_more_than_others(pair):
+    centre_m, R = pair.placement.center_m, pair.R_goal_current
+    others = so3.exp(np.array([[0.4, 0, 0], [0, 0.4, 0], [0, 0, -0.4]])) @ R
+    motions = np.concatenate([R[None], others])
+    problem: Problem = build_problem(pair.current, pair.goal, None)
+    images = evidence_images(problem, Hypotheses(motions, centre_m - motions @ centre_m))
+    violated = (images[:, :, STATE] >= OUTSIDE) | (
+        (images[:, :, STATE] == COMPARED) & (images[:, :, DIFFERENCE] < 128 - 50)
+    )
+    share = violated.sum(axis=(1, 2, 3)) / (images[:, :, STATE] >= COMPARED).sum(axis=(1, 2, 3))
+    assert share[0] < 0.5 * share[1:].min()
+
+
+def test_only_likely_hypotheses_of_unsure_sets_are_shown():
+    log_odds = np.array([-3.0, 1.0, -9.0, 0.5])
+    assert shown_rows(log_odds, np.full(4, 0.5)).tolist() == [1, 3, 0]
+    assert len(shown_rows(log_odds, np.array([0, SURE, 0, 0]))) == 0
+    assert len(shown_rows(np.zeros(3 * MOST), np.full(3 * MOST, 0.5))) == MOST
+
+
+def test_a_broken_file_is_named(tmp_path):
+    assert load_image_verifier(tmp_path / "none.onnx") is None
+    (tmp_path / "broken.onnx").write_bytes(b"nothing")
+    with pytest.raises(ReorientError, match="cannot read the verifier .*broken.onnx"):
+        load_image_verifier(tmp_path / "broken.onnx")
