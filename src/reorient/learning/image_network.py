@@ -46,6 +46,10 @@ class Sets:
 class ImageNetwork(nn.Module):
     """Log-odds that hypotheses are right, from evidence images, features of the trees and their log-odds."""
 
+    mean: Tensor
+    deviation: Tensor
+    """Of the features of the training sets."""
+
     def __init__(self, features: int, dropout: float = 0.0) -> None:
         super().__init__()
         a, b, c = WIDTHS
@@ -90,7 +94,8 @@ class ImageNetwork(nn.Module):
         scalars = F.relu(self.scalars(torch.cat([scaled, log_odds[:, None] / 5], dim=1)))
         alone = F.relu(self.alone(self.dropout(torch.cat([both, scalars], dim=1))))
         in_set = torch.cat([alone, alone - sets.mean(alone), sets.largest(alone)], dim=1)
-        return log_odds + self.last(F.relu(self.in_set(self.dropout(in_set))))[:, 0]
+        added: Tensor = self.last(F.relu(self.in_set(self.dropout(in_set))))
+        return log_odds + added[:, 0]
 
 
 def planes(images: UInt8[Tensor, "n c s s"]) -> Float[Tensor, "n p s s"]:

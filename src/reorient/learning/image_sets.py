@@ -118,7 +118,7 @@ def batch_of(data: ImageSets, sets: Int[np.ndarray, " b"], rng: Generator | None
         for begin, size in zip(np.cumsum(sizes) - sizes, sizes, strict=True):
             for way in range(2):
                 mine = images[begin : begin + size, way]
-                quarters, mirrored = rng.integers(4), rng.integers(2)
+                quarters, mirrored = int(rng.integers(4)), rng.random() < 0.5
                 changed = np.rot90(mine, quarters, (2, 3))
                 images[begin : begin + size, way] = changed[..., ::-1] if mirrored else changed
     of = np.repeat(np.arange(len(sets)), sizes)

@@ -67,7 +67,7 @@ class Run:
         described = run_record(config, sets=len(data), hypotheses=len(data.log_odds), start=start and str(start))
         keep_record(out / "config.json", described, ("config", "sets", "hypotheses", "start"))
         torch.manual_seed(0)
-        self.network = ImageNetwork(len(FEATURES), config.dropout).to(memory_format=torch.channels_last)
+        self.network = ImageNetwork(len(FEATURES), config.dropout)
         rows = data.features[data.rows(self.training_sets)]
         self.network.mean.copy_(torch.from_numpy(rows.mean(axis=0)))
         self.network.deviation.copy_(torch.from_numpy(rows.std(axis=0) + 1e-6))
@@ -106,10 +106,10 @@ class Run:
             rate = config.lr * min((number * config.steps + step + 1) / config.steps, 1)
             self.optimizer.param_groups[0]["lr"] = rate * (1 + math.cos(math.pi * done)) / 2
             chosen = rng.choice(self.training_sets, min(config.sets, len(self.training_sets)), replace=False)
-            images, features, log_odds, right, of = map(torch.from_numpy, batch_of(self.data, chosen, rng))
+            images, features, log_odds, labels, of_set = map(torch.from_numpy, batch_of(self.data, chosen, rng))
             with torch.autocast("cpu", torch.bfloat16):
-                answers = self.network(images, features, log_odds, of)
-            answer = loss(answers.float(), right, of, len(chosen))
+                verified = self.network(images, features, log_odds, of_set)
+            answer = loss(verified.float(), labels, of_set, len(chosen))
             self.optimizer.zero_grad()
             answer.backward()
             torch.nn.utils.clip_grad_norm_(self.network.parameters(), 5.0)
@@ -122,9 +122,10 @@ class Run:
             float(right[best_of(of, score)].mean())
             for score in (answers, self.data.log_odds[rows], right.astype(float))
         ]
-        held_out_loss = float(loss(*map(torch.from_numpy, (answers, right, of)), len(self.held_out_sets)))
+        sets = len(self.held_out_sets)
+        held_out = loss(torch.from_numpy(answers), torch.from_numpy(right), torch.from_numpy(of), sets)
         seconds = round(time.monotonic() - begin, 1)
-        return Round(number + 1, config.rounds, seconds, total / config.steps, held_out_loss, *shares)
+        return Round(number + 1, config.rounds, seconds, total / config.steps, held_out.item(), *shares)
 
     @property
     def held_out_rows(self) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
