@@ -7,6 +7,7 @@ import pytest
 
 from reorient import so3
 from reorient.errors import ReorientError
+from reorient.estimators import image_verifier
 from reorient.estimators.image_evidence import (
     CHANNELS,
     COMPARED,
@@ -17,7 +18,8 @@ from reorient.estimators.image_evidence import (
     UNKNOWN_THERE,
     evidence_images,
 )
-from reorient.estimators.image_verifier import MOST, SURE, load_image_verifier, shown_rows
+from reorient.estimators.image_verifier import MOST, SURE, ImageVerifier, load_image_verifier, shown_rows, with_images
+from reorient.estimators.verifier import FEATURES
 from reorient.registration import Hypotheses, Problem, build_problem
 from reorient.world.pairs import sample_pair
 from reorient.world.rendering import Renderer, load_world
@@ -102,6 +104,32 @@ def test_only_likely_hypotheses_of_unsure_sets_are_shown():
     assert shown_rows(log_odds, np.full(4, 0.5)).tolist() == [1, 3, 0]
     assert len(shown_rows(log_odds, np.array([0, SURE, 0, 0]))) == 0
     assert len(shown_rows(np.zeros(3 * MOST), np.full(3 * MOST, 0.5))) == MOST
+
+
+class Reversed:
+    """A network whose answers are the log-odds of the trees with the other sign."""
+
+    def run(self, outputs, inputs):
+        assert inputs["images"].shape == (len(inputs["log_odds"]), 2, len(CHANNELS), SIZE, SIZE)
+        return [-inputs["log_odds"]]
+
+
+def test_the_network_decides_where_the_trees_are_unsure(pair, monkeypatch):
+    problem = build_problem(pair.current, pair.goal, None)
+    hypotheses = problem.start(so3.grid(50)[:5])
+    values, log_odds = np.zeros((5, len(FEATURES))), np.array([2.0, -9.0, 1.0, -5.5, 0.0])
+    unsure, sure = np.array([0.9, 0, 0.7, 0, 0.5]), np.array([0.99, 0, 0.7, 0, 0.5])
+    monkeypatch.setattr(image_verifier, "load_image_verifier", lambda: ImageVerifier(Reversed(), {"normal": (0.5, 1)}))
+    answer, probability = with_images(problem, hypotheses, values, log_odds, unsure, "normal")
+    assert answer.tolist() == [-2, -9, -1, -5.5, 0]  # the second and the fourth were not shown
+    np.testing.assert_allclose(np.log(probability / (1 - probability)), 0.5 * answer + 1)
+    log_odds[1] = 6.0
+    answer, _ = with_images(problem, hypotheses, values, log_odds, unsure, "normal")
+    assert answer.tolist() == [-2, -6, -1, -6, -6]  # what was not shown is no better than the worst that was
+    for by_trees, effort in ((sure, "normal"), (unsure, "fast")):
+        kept = with_images(problem, hypotheses, values, log_odds, by_trees, effort)
+        assert kept[0] is log_odds
+        assert kept[1] is by_trees
 
 
 def test_a_broken_file_is_named(tmp_path):

@@ -68,6 +68,8 @@ def test_shards_of_another_config_are_not_mixed(shards):
         ({"goal_views": (7,)}, "goal_views=.*: expected numbers from 1 to 6"),
         ({"views_now": (4,)}, "views_now=.*: expected numbers from 1 to 3"),
         ({"seed": -1}, "seed=-1: expected a number from 0"),
+        ({"least_deg": 120.0}, "least_deg=120.0: expected a number from 0 to 90"),
+        ({"images": True, "goal_views": (2,)}, "images and several views: expected evidence images of one view"),
         ({"in_hand": 1.5}, "in_hand=1.5: expected a number from 0 to 1"),
         *(({"most_noise_mm": value}, "most_noise_mm=.*: expected a number from 0") for value in (-1.0, np.nan, np.inf)),
         *(({"most_wrong_focal": value}, "expected a number from 0 and below 1") for value in (-0.1, 1.0, np.nan)),

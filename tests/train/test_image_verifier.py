@@ -12,7 +12,7 @@ from reorient.estimators.image_evidence import CHANNELS, COMPARED, SIZE
 from reorient.estimators.image_verifier import load_image_verifier
 from reorient.estimators.verifier import FEATURES
 from reorient.learning.image_network import ImageNetwork, loss
-from reorient.learning.image_sets import ImageSets, batch_of, read_sets
+from reorient.learning.image_sets import ImageSets, read_sets
 from reorient.learning.image_training import Run, finish, log_odds_of
 from reorient.learning.recipes import ImageTraining
 
@@ -95,13 +95,6 @@ def test_the_loss_counts_each_way_of_being_right():
     assert good < 0.1
     assert loss(torch.tensor([-4.0, 4.0, -4.0, -4.0]), right, of, 2) > 4
     assert loss(torch.tensor([4.0, -4.0, 4.0, -4.0]), right, of, 2) > good + 0.9
-
-
-def test_rotated_images_stay_together(data):
-    images, *_, of = batch_of(data, np.array([3, 5]), np.random.default_rng(0))
-    assert of.tolist() == [0, 0, 0, 1, 1, 1]
-    np.testing.assert_array_equal(images[0, 0, 1], images[1, 0, 1])
-    assert images.sum() == data.images[data.rows(np.array([3, 5]))].sum()
 
 
 def test_from_objects_to_sets(tmp_path):
