@@ -118,7 +118,7 @@ def test_the_network_decides_where_the_trees_are_unsure(pair, monkeypatch):
     problem = build_problem(pair.current, pair.goal, None)
     hypotheses = problem.start(so3.grid(50)[:5])
     values, log_odds = np.zeros((5, len(FEATURES))), np.array([2.0, -9.0, 1.0, -5.5, 0.0])
-    unsure, sure = np.array([0.9, 0, 0.7, 0, 0.5]), np.array([0.99, 0, 0.7, 0, 0.5])
+    unsure, sure = np.array([0.9, 0, 0.7, 0, 0.5]), np.full(5, 0.99)
     monkeypatch.setattr(image_verifier, "load_image_verifier", lambda: ImageVerifier(Reversed(), {"normal": (0.5, 1)}))
     answer, probability = with_images(problem, hypotheses, values, log_odds, unsure, "normal")
     assert answer.tolist() == [-2, -9, -1, -5.5, 0]  # the second and the fourth were not shown
