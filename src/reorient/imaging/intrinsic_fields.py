@@ -46,7 +46,7 @@ _SCALES: dict[str, Callable[[float], float]] = {
     **dict.fromkeys(("factordepth", "depthfactor"), lambda x: 1 / x),
 }
 _SAME = 1e-3  # relative difference of two statements of one scale
-_RANGES = ((1e-6, 0.005, lambda x: x), (0.01, 10.0, lambda x: x / 1000), (100.0, 1e5, lambda x: 1 / x))
+_RANGES = ((1e-6, 0.005, 1.0, 1.0), (0.01, 10.0, 0.001, 1.0), (100.0, 1e5, 1.0, -1.0))  # from, to, factor, power
 
 
 def bare(name: object) -> str:
@@ -129,9 +129,9 @@ def depth_scale_m(fields: Fields) -> float | None:
 
 def _scale_m(scale: float) -> float:
     """Metres per unit by the size of ``depth_scale``."""
-    for low, high, metres in _RANGES:
+    for low, high, factor, power in _RANGES:
         if low <= scale <= high:
-            return float(metres(scale))
+            return float(factor * scale**power)
     raise ReorientError(
         f"depth_scale {scale:g}: expected metres per unit (0.001), millimetres per unit (1) or units per metre (1000); "
         "remove it and give the scale as metres per unit (--depth-scale)"
