@@ -58,7 +58,7 @@ def test_a_third_beyond_the_frame_costs_nothing(mesh):
 
 @pytest.mark.parametrize("seed", [3, 4, 5, 6, 7])
 def test_unmarked_holes_in_both_images(mesh, seed):
-    """The gripper cuts other parts of the object out of each image, and nothing marks them: right, or far from sure."""
+    """The gripper cuts other parts of the object out of each image, and nothing marks them."""
     pair = pair_of(mesh, seed=seed, angle_deg=35)
     images = []
     for image, side in ((pair.current, 0), (pair.goal, 1)):
@@ -67,10 +67,7 @@ def test_unmarked_holes_in_both_images(mesh, seed):
         cut = cut if side == 0 else np.arange(image.camera.width)[None] > np.quantile(np.nonzero(image.valid)[1], 0.75)
         images.append(replace(image, depth_m=np.where(cut, 0, image.depth_m)))
     estimate = load_estimator().estimate(*images)
-    if seed == 3:
-        assert estimate.confidence < 0.5
-    else:
-        assert error_deg(estimate, pair) < 3
+    assert error_deg(estimate, pair) < 3
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,7 @@
 """The verifier on images: where the boosted trees are unsure, a network compares the evidence images of hypotheses.
 
 It adds to the log-odds of the trees (``reorient.estimators.verifier``). The weights are ``verifier-images.onnx``, the
-card is ``verifier-images.md``; without weights the trees decide alone. ``reorient.learning.image_training`` trains it.
+card is ``verifier-images.md``; ``reorient.learning.image_training`` trains it.
 """
 
 import json
@@ -67,10 +67,10 @@ def with_images(
     effort: str,
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     """Log-odds and probabilities of the hypotheses of a problem of two views, given the features, log-odds and
-    probabilities of the trees; these themselves where the trees are sure, without weights, and after a search of an
-    effort for which the network is not calibrated."""
+    probabilities of the trees; these themselves where the trees are sure, and after a search of an effort for which the
+    network is not calibrated."""
     verifier, shown = load_image_verifier(), shown_rows(log_odds, probability)
-    if verifier is None or effort not in verifier.calibration or not len(shown):
+    if effort not in verifier.calibration or not len(shown):
         return log_odds, probability
     images = evidence_images(problem, hypotheses[shown])
     answer = verifier.log_odds(images, features[shown], log_odds[shown])
@@ -80,13 +80,11 @@ def with_images(
 
 
 @cache
-def load_image_verifier(path: Path = WEIGHTS) -> ImageVerifier | None:
-    """The verifier of the package; None where there is no file.
+def load_image_verifier(path: Path = WEIGHTS) -> ImageVerifier:
+    """The verifier of the package.
 
     Raises ReorientError for an unreadable file, for another kind of network and for features of another version.
     """
-    if not path.is_file():
-        return None
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
