@@ -92,7 +92,7 @@ class GuideLog:
         new = not self._path.is_file() or not self._path.stat().st_size
         text = StringIO(newline="")
         csv.writer(text).writerows([*([COLUMNS] if new else []), cells])
-        with self._path.open("a", newline="") as file:
+        with self._path.open("a", newline="", encoding="utf-8", errors="backslashreplace") as file:
             file.write(text.getvalue())  # at once: whole lines, whenever the process is killed
 
 
@@ -105,7 +105,7 @@ def _check(path: Path) -> None:
     if not path.parent.is_dir():
         raise ReorientError(f"no folder {str(path.parent)!r} for the log: expected an existing folder")
     if path.is_file():
-        text = path.read_text(errors="replace")
+        text = path.read_text(encoding="utf-8", errors="replace")
         if text and text.splitlines()[0] != ",".join(COLUMNS):
             raise ReorientError(f"{str(path)!r} is no log of `reorient guide`: expected a new file, or one it wrote")
         whole_lines(path)  # half a line, of a full disk, must not begin the next one
