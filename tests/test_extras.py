@@ -112,14 +112,14 @@ print(sorted(package.__all__) == sorted(name for name in package.__all__ if geta
     [
         ("evaluate out", "pip install 'reorient[sim]'"),
         ("demo", "pip install 'reorient[sim]'"),
-        ("goal from-mesh part.stl goal.npz", "pip install 'reorient[sim]'"),
+        ("goal from-mesh part.stl --camera camera.json --unit mm --distance 0.5", "pip install 'reorient[sim]'"),
         ("objects list", "pip install 'reorient[sim]'"),
         ("generate pairs", "pip install 'reorient[sim]'"),
-        ("view record", "pip install 'reorient[view]'"),
     ],
 )
 def test_verbs_name_the_extra_that_they_lack(line, command, tmp_path):
     (tmp_path / "part.stl").write_text("solid part\nendsolid part\n")
+    (tmp_path / "camera.json").write_text('{"width": 64, "height": 64, "fx": 99, "fy": 99, "cx": 32, "cy": 32}')
     run = without_extras(f"from reorient.cli import main\nmain({line.split()!r})", tmp_path)
     assert run.returncode == 2
     assert re.fullmatch(rf"reorient: needs \w+: {re.escape(command)}\n", run.stderr), run.stdout + run.stderr
@@ -133,7 +133,9 @@ def test_verbs_name_the_extra_that_they_lack(line, command, tmp_path):
         ("from reorient.reporting import write_report", "sim"),
         ("from reorient.stations.drivers import make_camera; make_camera('simulated', {})", "sim"),
         ("from reorient.stations.drivers import make_arm; make_arm('ur', {'address': '127.0.0.1'})", "ur"),
-        ("from reorient.runs.pool import Pool; Pool(backend='ray').count", "cluster"),
+        ("from reorient.runs.pool import Pool; Pool(-1, 'ray').count", "cluster"),
+        ("from reorient.cli.outputs import *; LoopOutputs(mcap=Path('run.mcap')).check()", "view"),
+        ("from reorient.cli.outputs import *; LoopOutputs(out=Path('.'), format='svg').check()", "sim"),
     ],
 )
 def test_python_names_the_extra_that_it_lacks(code, extra, tmp_path):

@@ -16,7 +16,19 @@ SOURCE = Path(__file__).parent.parent / "src" / "reorient"
 
 # A package (or top-level module) imports only those listed before it.
 ORDER = [
-    *("errors", "formatting", "so3", "se3", "plugins", "runs", "imaging", "world", "registration", "estimators"),
+    *(
+        "errors",
+        "extras",
+        "formatting",
+        "so3",
+        "se3",
+        "plugins",
+        "runs",
+        "imaging",
+        "world",
+        "registration",
+        "estimators",
+    ),
     *("controller", "perception", "stations", "learning", "experiments", "reporting", "reproducing", "viewing"),
     *("cli", "__main__"),
     "",  # the package itself
