@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := -m pip install --disable-pip-version-check
 
-.PHONY: demo demo-robot readme-picture demo-cell test test-slow test-train test-cell test-peers test-robot test-view lint dist clean
+.PHONY: demo demo-robot readme-picture demo-cell test test-base test-slow test-train test-cell test-peers test-robot test-view lint dist clean
 
 demo: .venv/sim
 	$(BIN)/python -m reorient demo --out out/demo
@@ -14,6 +14,9 @@ readme-picture: demo
 
 test: .venv/dev
 	$(BIN)/python -m pytest -n auto -m "not slow"
+
+test-base:  # size, import time and first result of the install without extras
+	$(PYTHON) benchmarks/install_size.py out/base
 
 test-slow: .venv/dev
 	$(BIN)/python -m pytest -n auto -m slow

@@ -112,7 +112,7 @@ print(sorted(package.__all__) == sorted(name for name in package.__all__ if geta
     [
         ("evaluate out", "pip install 'reorient[sim]'"),
         ("demo", "pip install 'reorient[sim]'"),
-        ("goal from-mesh part.stl --camera camera.json --unit mm --distance 0.5", "pip install 'reorient[sim]'"),
+        ("goal from-mesh part.stl --camera camera.json --unit mm --center 0 0 0.6", "pip install 'reorient[sim]'"),
         ("objects list", "pip install 'reorient[sim]'"),
         ("generate pairs", "pip install 'reorient[sim]'"),
     ],

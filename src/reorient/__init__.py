@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from reorient.stations.guarded import RobotLimits
     from reorient.stations.robot import RobotStation
 
-__version__ = "0.2.0.dev0"
+__version__ = "0.2.0"
 __all__ = [
     "Algorithm1",
     "Camera",
