@@ -64,7 +64,7 @@ def read_table(file: Path, columns: Sequence[str]) -> list[Row]:
     if not file.is_file():
         raise ReorientError(f"no {str(file)!r}: expected config.json and {file.name} of a run")
     try:
-        with gzip.open(file, "rt", newline="") as text:
+        with gzip.open(file, "rt", encoding="utf-8", newline="") as text:
             reader = csv.DictReader(text)
             rows = list(reader)
     except (OSError, EOFError, zlib.error, UnicodeDecodeError, csv.Error) as error:
