@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo demo-robot readme-picture demo-cell test test-slow test-train test-cell test-peers test-robot test-view lint clean
+.PHONY: demo demo-robot readme-picture demo-cell docs test test-slow test-train test-cell test-peers test-robot test-view lint clean
 
 demo: .venv/base
 	$(BIN)/reorient demo --out out/demo
@@ -34,6 +34,9 @@ test-peers: .venv/peers
 test-robot: .venv/robot/ready
 	.venv/robot/bin/pytest tests/robot
 
+docs: .venv/docs  # out/site/index.html, which opens from the disk
+	$(BIN)/python -m mkdocs build --strict --quiet
+
 lint: .venv/dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -50,6 +53,7 @@ test-view: .venv/view
 # The other environments add extras to the base.
 EXTRAS_dev := dev
 EXTRAS_train := dev,train,cluster
+EXTRAS_docs := docs
 EXTRAS_cell := dev,cell
 EXTRAS_peers := dev,peers
 EXTRAS_view := dev,view,view-tests
