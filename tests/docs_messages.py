@@ -3,7 +3,6 @@
 import ast
 import re
 from collections.abc import Iterator
-from pathlib import Path
 
 ERRORS = {"ReorientError", "StationError", "ProtocolError", "StationHangs"}
 
@@ -14,31 +13,37 @@ def template(node: ast.expr) -> str:
         case ast.Constant(value=str(text)):
             return text
         case ast.JoinedStr(values=values):
-            return "".join(template(value) for value in values)
+            return "".join(map(template, values))
         case ast.BinOp(left=left, op=ast.Add(), right=right):
             return template(left) + template(right)
     return "…"
 
 
-def messages(tree: ast.Module) -> Iterator[str]:
-    """Of errors that are made, and of warnings that are added; a text that is passed on is none of its own."""
-    for node in ast.walk(tree):
-        match node:
-            case ast.Call(func=ast.Name(id=name), args=[first, *rest]):
-                if name in ERRORS:
-                    yield template(first)
-                elif name == "OutOfRange" and len(rest) == 2:
-                    yield f"{template(first)}=…: expected {template(rest[1])}"
-                elif name == "unknown_name":
-                    yield f"unknown {template(first)} …: expected one of …"
-                elif name == "Mistake" and len(rest) == 2:
-                    yield template(rest[0])
-            case ast.Call(func=ast.Attribute(attr="with_warning"), args=args):
-                yield from map(template, args)
-            case ast.Call(func=ast.Attribute(value=listed, attr="append"), args=[text]):
-                if ast.unparse(listed).endswith("warnings"):
-                    yield template(text)
-            case ast.Assign(targets=[ast.Name(id="warnings")], value=ast.List(elts=texts) | ast.ListComp(elt=ast.expr() as elt)):
-                yield from map(template, texts)
-            case ast.Assign(targets=[ast.Name(id="message" | "words")], value=value):
-                yield ""
+def made(node: ast.AST) -> Iterator[str]:
+    """The messages that one node makes: of an error, a warning, or the end of a loop."""
+    match node:
+        case ast.Call(func=ast.Name(id=name), args=[first, *_]) if name in ERRORS:
+            yield template(first)
+        case ast.Call(func=ast.Name(id="OutOfRange"), args=[name, _, expected]):
+            yield f"{template(name)}=…: expected {template(expected)}"
+        case ast.Call(func=ast.Name(id="unknown_name"), args=[kind, *_]):
+            yield f"unknown {template(kind)} …: expected one of …"
+        case ast.Call(func=ast.Name(id="_Ended"), args=[_, message, *_]):
+            yield template(message)
+        case ast.Call(func=ast.Attribute(attr="with_warning"), args=warnings):
+            yield from map(template, warnings)
+        case ast.Call(func=ast.Attribute(value=listed, attr="append"), args=[text]):
+            yield from [template(text)] if ast.unparse(listed).endswith("warnings") else []
+        case ast.Assign(targets=[ast.Name(id="warnings")], value=ast.ListComp(elt=text)):
+            yield template(text)
+
+
+def messages(source: str, fewest_words: int = 3) -> set[str]:
+    """All messages of a module; with fewer words, most of the text is passed on from elsewhere."""
+    found = {tidy(text) for node in ast.walk(ast.parse(source)) for text in made(node)}
+    return {text for text in found if len(re.findall(r"[a-zA-Z]{2,}", text.replace("expected", ""))) >= fewest_words}
+
+
+def tidy(text: str) -> str:
+    """Without quotes around what is filled in, and with one ellipsis for several in a row."""
+    return re.sub("…+", "…", text.replace("'…'", "…")).strip()

@@ -78,28 +78,18 @@ def scene(tmp_path_factory):
     return folder
 
 
-class Scene:
-    """What a page takes from the user's camera."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-
-    def raw(self, file: str) -> np.ndarray:
-        return np.asarray(Image.open(self.folder / file)).astype(np.uint16)
-
-
 def run(page: Path, folder: Path, with_slow: bool) -> dict[str, object]:
     """Run the blocks of a page in the current folder; the names that its Python blocks leave."""
     small, big = (Camera(*x) for x in ((128, 128, 331.0, 331.0, 64.0, 64.0), (640, 480, 615.0, 615.0, 320.0, 240.0)))
     from examples.estimate_from_arrays import block
 
-    names: dict[str, object] = {"scene": Scene(folder), "np": np, "load_estimator": load_estimator, "camera": big}
+    names: dict[str, object] = {"np": np, "load_estimator": load_estimator, "camera": big}
     names["current"], names["goal"] = (DepthImage(block(small, angle_deg), small) for angle_deg in (0.0, 15.0))
     names["image"] = names["side_image"] = names["current"]
     names["R_goal_side"] = np.eye(3)
-    names["frame"] = DepthImage.from_uint16(Scene(folder).raw("now.png"), big)
-    names["mask"] = (np.asarray(names["frame"].depth_m) > 0) & (np.asarray(names["frame"].depth_m) < 0.7)
-    names["raw"] = Scene(folder).raw("now.png")
+    names["raw"] = raw = np.asarray(Image.open(folder / "now.png")).astype(np.uint16)
+    names["frame"] = DepthImage.from_uint16(raw, big)
+    names["mask"] = (raw > 0) & (raw < 700)
     names["estimate"] = load_estimator("gicp").estimate(names["current"], Goal(names["goal"]))
     for mark, language, text in blocks(page.read_text()):
         if mark == "" or (with_slow and mark == "slow"):
@@ -129,12 +119,14 @@ def here(scene, tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("page", PLAIN, ids=name)
 def test_blocks_run(page, here):
     run(page, here, with_slow=False)
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("page", SLOW, ids=name)
 def test_blocks_run_with_the_slow_ones(page, here):
     run(page, here, with_slow=True)
@@ -160,6 +152,7 @@ def test_a_block_that_fails_is_found(text, here):
         run(page, here, with_slow=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", sorted((ROOT / "docs" / "notebooks").glob("*.ipynb")), ids=name)
 def test_the_notebook_runs(path, capsys):
     """Its cells in order, in one namespace; what it prints is what it holds."""
