@@ -1,7 +1,7 @@
 """The documentation's blocks run, page by page, in a folder of their own.
 
-A comment above a block states what else holds: ``slow`` (it runs in ``make test-slow``), ``tested: FILE::TEST`` (another
-test runs it) or ``not executed: REASON``; ``no block is executed: REASON`` is for a whole page.
+A comment above a block states what else holds: ``slow`` (it runs in ``make test-slow``), ``tested: FILE::TEST``
+(another test runs it) or ``not executed: REASON``; ``no block is executed: REASON`` is for a whole page.
 """
 
 import json
@@ -54,9 +54,8 @@ def name(page: Path) -> str:
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
-    """A folder with what the pages name: raw pictures of a block before a wall, their camera, isolated images, a mesh."""
-    from examples.estimate_from_arrays import block
-
+    """A folder with what the pages name: pictures of a block before a wall, their camera, isolated images, a mesh."""
+    block = block_of_the_example()
     folder = tmp_path_factory.mktemp("scene")
     camera = Camera(640, 480, 615.0, 615.0, 320.0, 240.0)
     for file, angle_deg in (("now.png", 0.0), ("goal.png", 15.0)):
@@ -78,11 +77,18 @@ def scene(tmp_path_factory):
     return folder
 
 
-def run(page: Path, folder: Path, with_slow: bool) -> dict[str, object]:
-    """Run the blocks of a page in the current folder; the names that its Python blocks leave."""
-    small, big = (Camera(*x) for x in ((128, 128, 331.0, 331.0, 64.0, 64.0), (640, 480, 615.0, 615.0, 320.0, 240.0)))
-    from examples.estimate_from_arrays import block
+def block_of_the_example():
+    """The depth of a block, of examples/estimate_from_arrays.py."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(ROOT)
+        from examples.estimate_from_arrays import block
+    return block
 
+
+def run(text: str, title: str, folder: Path, with_slow: bool = False) -> None:
+    """Run the blocks of a page in the current folder, with the names that the pages take from the user."""
+    small, big = (Camera(*x) for x in ((128, 128, 331.0, 331.0, 64.0, 64.0), (640, 480, 615.0, 615.0, 320.0, 240.0)))
+    block = block_of_the_example()
     names: dict[str, object] = {"np": np, "load_estimator": load_estimator, "camera": big}
     names["current"], names["goal"] = (DepthImage(block(small, angle_deg), small) for angle_deg in (0.0, 15.0))
     names["image"] = names["side_image"] = names["current"]
@@ -91,14 +97,13 @@ def run(page: Path, folder: Path, with_slow: bool) -> dict[str, object]:
     names["frame"] = DepthImage.from_uint16(raw, big)
     names["mask"] = (raw > 0) & (raw < 700)
     names["estimate"] = load_estimator("gicp").estimate(names["current"], Goal(names["goal"]))
-    for mark, language, text in blocks(page.read_text()):
+    for mark, language, code in blocks(text):
         if mark == "" or (with_slow and mark == "slow"):
             if language == "python":
-                exec(compile(text, name(page), "exec"), names)
+                exec(compile(code, title, "exec"), names)
             else:
-                for line in text.replace("\\\n", " ").splitlines():
+                for line in code.replace("\\\n", " ").splitlines():
                     command(shlex.split(line, comments=True))
-    return names
 
 
 def command(words: list[str]) -> None:
@@ -122,14 +127,14 @@ def here(scene, tmp_path, monkeypatch):
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("page", PLAIN, ids=name)
 def test_blocks_run(page, here):
-    run(page, here, with_slow=False)
+    run(page.read_text(), name(page), here)
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("page", SLOW, ids=name)
 def test_blocks_run_with_the_slow_ones(page, here):
-    run(page, here, with_slow=True)
+    run(page.read_text(), name(page), here, with_slow=True)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name)
@@ -138,7 +143,8 @@ def test_marks_are_right(page):
 
 
 @pytest.mark.parametrize(
-    "mark", ["not executed: no", "slowly", "tested: tests/nowhere.py::test_x", "tested: tests/test_docs.py::test_nothing"]
+    "mark",
+    ["not executed: no", "slowly", "tested: tests/nowhere.py::test_x", "tested: tests/test_docs.py::test_nothing"],
 )
 def test_wrong_marks_are_found(mark):
     assert wrong_mark(mark)
@@ -149,7 +155,7 @@ def test_a_block_that_fails_is_found(text, here):
     page = ROOT / "docs" / "planted.md"
     with pytest.raises(AssertionError), pytest.MonkeyPatch.context() as patch:
         patch.setattr(Path, "read_text", lambda self: text)
-        run(page, here, with_slow=False)
+        run(page.read_text(), name(page), here)
 
 
 @pytest.mark.slow

@@ -1,12 +1,13 @@
 """docs/troubleshooting.md has every message of the source, and no other; the statuses are those of the code."""
 
 import re
+from functools import cache
 from pathlib import Path
 from typing import get_args
 
 import pytest
-from docs_messages import messages
 
+from docs_messages import messages
 from reorient.controller import Status
 from reorient.controller.guiding import GuideStatus
 
@@ -31,6 +32,7 @@ def messages_of_the_page() -> list[str]:
     return first_column((DOCS / "troubleshooting.md").read_text().partition("<!-- messages -->")[2])
 
 
+@cache
 def messages_of_the_source(fewest_words: int = 3) -> set[str]:
     return {text for path in (ROOT / "src").rglob("*.py") for text in messages(path.read_text(), fewest_words)}
 
