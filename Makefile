@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := -m pip install --disable-pip-version-check
 
-.PHONY: demo demo-robot readme-picture demo-cell test test-base test-slow test-train test-cell test-peers test-robot test-view lint dist clean
+.PHONY: demo demo-robot readme-picture demo-cell docs test test-base test-slow test-train test-cell test-peers test-robot test-view lint dist clean
 
 demo: .venv/sim
 	$(BIN)/python -m reorient demo --out out/demo
@@ -39,6 +39,9 @@ test-peers: .venv/peers
 test-robot: .venv/robot/ready
 	.venv/robot/bin/python -m pytest tests/robot
 
+docs: .venv/docs  # out/site/index.html, which opens from the disk
+	$(BIN)/python -m mkdocs build --strict --quiet
+
 lint: .venv/dev
 	$(BIN)/python -m ruff check .
 	$(BIN)/python -m ruff format --check .
@@ -59,6 +62,7 @@ dist: .venv/dev
 EXTRAS_sim := sim
 EXTRAS_dev := dev
 EXTRAS_train := dev,train,cluster
+EXTRAS_docs := docs
 EXTRAS_cell := dev,cell
 EXTRAS_peers := dev,peers
 EXTRAS_view := dev,view,view-tests
