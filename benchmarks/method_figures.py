@@ -315,7 +315,7 @@ def draw_verifier() -> Figure:
     axes[0].set_ylabel(r"log-odds $\ell$ of the trees")
     axes[0].legend(fontsize=7, loc="lower left")
     line, verifier = np.linspace(-8, 8, 161), load_verifier()
-    for effort, colour in (("fast", SILHOUETTE), ("normal", OCCLUDED), ("thorough", INLIER)):
+    for effort, colour in (("fast", SILHOUETTE), ("normal", OCCLUDED)):
         scale, shift = verifier.calibration[effort]
         label = f"{effort}: a = {scale:.2f}, b = {shift:.2f}"
         axes[1].plot(line, verifier.probability(line, effort), color=colour, label=label)

@@ -86,7 +86,7 @@ def test_a_pivot_each_or_none(mesh, workers):
         RotationSearch("fast").estimate_many([(pair.current, pair.goal)] * 3, [None], workers)
 
 
-@pytest.mark.parametrize("effort", ["fast", "normal", "thorough"])
+@pytest.mark.parametrize("effort", [None, "fast", "normal"])
 def test_every_effort_answers_and_has_its_calibration(mesh, effort):
     pair = pair_of(mesh, 2, 50, randomised(0.001))
     estimate = RotationSearch(effort).estimate(pair.current, pair.goal, pair.pivot_m)
@@ -96,8 +96,10 @@ def test_every_effort_answers_and_has_its_calibration(mesh, effort):
 
 
 def test_unknown_effort():
-    with pytest.raises(ReorientError, match="unknown effort 'thorogh': expected one of .*did you mean 'thorough'"):
-        RotationSearch("thorogh")
+    with pytest.raises(ReorientError, match="unknown effort 'norml': expected one of .*did you mean 'normal'"):
+        load_estimator("default", effort="norml")
+    with pytest.raises(ReorientError, match="'gicp' with effort='fast': expected an effort with 'default' alone"):
+        load_estimator("gicp", effort="fast")
 
 
 @pytest.mark.slow

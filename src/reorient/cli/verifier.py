@@ -55,16 +55,13 @@ class Train:
     """Folder of further data, of other objects."""
     fast: Path | None = None
     """Folder of other objects with ``--effort fast``, to calibrate that effort."""
-    thorough: Path | None = None
-    """Folder of other objects with ``--effort thorough``, to calibrate that effort."""
 
     def run(self) -> None:
         """Read, train, write, print."""
         require("train", "sklearn")
         from reorient.learning.verifier import read, train
 
-        folders = {"fast": self.fast, "thorough": self.thorough}
-        others = {effort: read(folder) for effort, folder in folders.items() if folder is not None}
+        others = {} if self.fast is None else {"fast": read(self.fast)}
         data = read(self.data) if self.also is None else read(self.data).and_also(read(self.also))
         for name, value in train(data, self.out, others).items():
             print(f"{name}: {value:.4g}")

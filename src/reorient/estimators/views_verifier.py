@@ -6,6 +6,7 @@ mean and largest, go through boosted trees of their own (``verifier-views.npz``)
 without that file a fixed combination replaces them. A problem of two views needs neither.
 """
 
+import hashlib
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
@@ -122,3 +123,11 @@ def group_of(goal_views: int) -> str:
 def load_views_verifier(path: Path = WEIGHTS) -> Verifier | None:
     """The trained verifier of several views; None where there is none. Raises ReorientError as ``load_verifier``."""
     return load_verifier(path, VIEWS_FEATURES) if path.is_file() else None
+
+
+@cache
+def fingerprint() -> str:
+    """Of all that ``assess`` uses: what was calibrated with other verifiers does not hold."""
+    found = (x for x in (load_verifier(), load_views_verifier()) if x is not None)
+    parts = [x.value.tobytes() + repr(sorted(x.calibration.items())).encode() for x in found]
+    return hashlib.sha256(b"".join(parts)).hexdigest()[:16]

@@ -1,0 +1,82 @@
+"""Sets of rotations that hold the truth with a stated probability: split-conformal calibration.
+
+The verifier gives each candidate a probability. On held-out objects it is recorded which probability the truth had, 0
+where no candidate was within 5 degrees of it. Of n such estimates, a set of level a holds every candidate with at least
+the probability that the truth had in k = ceil(a (n + 1)) of them; it misses the truth of one more like these in at most
+1 - a of the cases, whatever the verifier is worth (Vovk et al., Algorithmic Learning in a Random World, 2005). Where
+the truth was among the candidates in fewer than k of them, no such set exists.
+
+That holds over estimates of one group: the same number of views (one pair, or more), noise as the images show it, and
+probability that the candidates have in all.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from reorient.errors import ReorientError
+from reorient.estimators.base import Candidate
+from reorient.estimators.views_verifier import fingerprint
+from reorient.registration import Evidence, Problem
+
+CALIBRATION = Path(__file__).with_name("calibration.json")
+NOISE = (0.0035, 0.0065)  # residual of the inliers, relative to the object diameter, that separate groups
+FOUND = (0.5, 0.9, 0.97)  # probability of all candidates together that separates groups
+Rotation = Float[np.ndarray, "3 3"]
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """What ``reorient verifier calibrate`` measured."""
+
+    verifier: str
+    """Fingerprint of the verifiers that it was measured with."""
+    truth: dict[str, Float[np.ndarray, " n"]]
+    """By group, the probability of the truth in each estimate, in ascending order; 0 where it was not found."""
+
+    def level(self, group: str, probability: float) -> float:
+        """Sets of a higher level hold a candidate with this probability."""
+        truth = self.truth[group]
+        return float(len(truth) - np.searchsorted(truth, probability, side="right")) / (len(truth) + 1)
+
+    def guaranteed(self, group: str) -> float:
+        """The largest level of a set that needs no rotation beside the candidates; 0 for a group without data."""
+        truth = self.truth.get(group, np.empty(0))
+        return float(np.count_nonzero(truth)) / (len(truth) + 1)
+
+
+@cache
+def load_calibration(path: Path = CALIBRATION) -> Calibration:
+    """The calibration of the package. Raises ReorientError for another kind of file."""
+    try:
+        data = json.loads(path.read_text())
+        return Calibration(data["verifier"], {name: np.sort(x) for name, x in data["truth"].items()})
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ReorientError(
+            f"cannot read the calibration {str(path)!r} ({error}): expected what `reorient verifier calibrate` writes"
+        ) from error
+
+
+def group_of(views: int, noise: float, found: float) -> str:
+    """The group of an estimate: its pairs of views, the residual of its inliers, the probability of all candidates."""
+    kind = "one pair of views" if views == 1 else "several pairs"
+    return f"{kind}, noise {np.searchsorted(NOISE, noise)}, found {np.searchsorted(FOUND, found)}"
+
+
+def candidate_sets(
+    named: Sequence[tuple[Rotation, float]], problem: Problem, evidence: Evidence
+) -> tuple[tuple[Candidate, ...], float]:
+    """The candidates of an estimate from its distinct rotations with their probabilities, the answer first; and the
+    largest level of their confidence sets, 0 where the verifier is not the calibrated one."""
+    views = len(problem.views_now) * len(problem.goal_views)
+    noise = float(np.nan_to_num(evidence.residual_m)) / problem.diameter_m
+    group, calibration = group_of(views, noise, sum(p for _, p in named)), load_calibration()
+    if calibration.verifier != fingerprint() or group not in calibration.truth:
+        return tuple(Candidate(R, p, 1.0) for R, p in named), 0.0
+    candidates = [Candidate(R, p, calibration.level(group, p)) for R, p in named]
+    return tuple(candidates), calibration.guaranteed(group)

@@ -1,0 +1,119 @@
+"""Calibration of confidence sets and covariances, on generated objects that the verifier was not trained on.
+
+A resumable run (``reorient.runs``) with a row for each estimate; ``fitted`` makes the package's ``calibration.json`` of
+its rows.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from reorient import so3
+from reorient.errors import ReorientError, check_range
+from reorient.estimators import load_estimator
+from reorient.estimators.base import RotationEstimate
+from reorient.estimators.views_verifier import fingerprint
+from reorient.learning.verifier import RIGHT_DEG
+from reorient.learning.verifier_data import Sample, VerifierData, samples
+from reorient.registration import DepthView
+from reorient.runs.pool import Pool
+from reorient.runs.run import Progress, Row, RowStore, Tables, resumable
+from reorient.world.goals import ALL_ROUND
+from reorient.world.objects import ObjectSource
+from reorient.world.pairs import Pair
+from reorient.world.rendering import Renderer
+from reorient.world.symmetry import SymmetryGroup, rotation_group, symmetric_error
+
+
+@dataclass(frozen=True)
+class CalibrationData:
+    """Estimates to make: pairs of the preset benchmark with exact intrinsics, a nominal pivot given to 60% of them."""
+
+    objects: ObjectSource = field(default_factory=lambda: ObjectSource(count=500, object_seed=61))
+    """Objects of the pairs: others than the verifier was trained on."""
+    pairs: int = 4
+    """Number of pairs of each object."""
+    most_noise_mm: float = 3.0
+    """Largest depth noise: a quarter of the pairs has none, half up to 1 mm, the rest up to this."""
+    goal_views: tuple[int, ...] = (1,)
+    """Numbers of goal views, of which each pair has one at random."""
+    seed: int = 0
+    """Seed of the pairs."""
+
+    def __post_init__(self) -> None:
+        """Raises ReorientError for values out of range."""
+        check_range(self, "pairs", low=1)
+        check_range(self, "goal_views", low=1, high=ALL_ROUND)
+        check_range(self, "seed", "most_noise_mm")
+
+    @property
+    def pairs_of_objects(self) -> VerifierData:
+        """The same as data for the verifier, whose pairs these are."""
+        return VerifierData(
+            self.objects,
+            pairs=self.pairs,
+            most_noise_mm=self.most_noise_mm,
+            most_wrong_focal=0.0,
+            goal_views=self.goal_views,
+            seed=self.seed,
+        )
+
+
+def measure(config: CalibrationData, out: Path, pool: Pool | None = None) -> Progress:
+    """Run; yields (objects done, objects in all). The rows are in ``out/rows.csv.gz`` when it ends.
+
+    Raises ReorientError as ``resumable``.
+    """
+    tasks = {name: (config, number, name) for number, name in enumerate(config.objects.open().names)}
+    yield from resumable(out, config, tasks, _measure_object, RowStore(), pool, verifier=fingerprint())
+
+
+def _measure_object(task: tuple[CalibrationData, int, str]) -> Tables:
+    """A row for each estimate of an object."""
+    config, number, name = task
+    try:
+        renderer = Renderer(config.objects.open().load(name))
+    except ReorientError:
+        return {"rows": []}
+    group, estimator = rotation_group(renderer.mesh), load_estimator("default")
+    found = samples(config.pairs_of_objects, renderer, number)
+    return {"rows": [_row(name, group, x, estimator.estimate(x.current, x.goal, x.pivot_m)) for _, x in found]}
+
+
+def _row(name: str, group: SymmetryGroup, sample: Sample, estimate: RotationEstimate) -> Row:
+    pair, views = sample.pair, (sample.current, sample.goal.image, *(x.image for x in sample.goal.views))
+
+    def error_deg(R: Float[np.ndarray, "3 3"]) -> float:
+        return float(np.degrees(symmetric_error(group, R, pair.R_goal_current, pair.R_camera_object)))
+
+    truth = [x.probability for x in estimate.candidates if error_deg(x.R_goal_current) < RIGHT_DEG]
+    return {
+        "object": name,
+        "low_deg": f"{sample.low_deg:g}",
+        "noise_mm": f"{1000 * sample.noise_m:.3f}",
+        "pivot": str(int(sample.pivot_m is not None)),
+        "views": str(len(views) - 1),
+        "noise": f"{estimate.evidence.residual_m / max(DepthView(x).diameter_m for x in views):.6f}",
+        "confidence": f"{estimate.confidence:.5f}",
+        "found": f"{sum(x.probability for x in estimate.candidates):.5f}",
+        "truth": f"{max(truth, default=0.0):.5f}",
+        "candidates": str(len(estimate.candidates)),
+        "error_deg": f"{error_deg(estimate.R_goal_current):.5f}",
+        "rotvec_rad": _numbers(_rotation_error_rad(group, pair, estimate.R_goal_current)),
+        "covariance_rad2": _numbers(np.asarray(estimate.covariance_rad2).ravel()),
+    }
+
+
+def _rotation_error_rad(group: SymmetryGroup, pair: Pair, R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, " n"]:
+    """The rotation vector from an answer to the nearest of the equivalent true rotations; empty where an axis of
+    revolution leaves it open."""
+    if len(group.axes) or group.spherical:
+        return np.empty(0)
+    true = pair.R_goal_current @ pair.R_camera_object @ group.rotations @ pair.R_camera_object.T
+    return np.asarray(so3.log(true[np.argmin(so3.angle_difference(true, R))] @ R.T))
+
+
+def _numbers(values: Float[np.ndarray, " n"]) -> str:
+    return " ".join(f"{x:.6g}" for x in values)
