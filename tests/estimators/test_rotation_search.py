@@ -235,10 +235,10 @@ def test_the_polish_improves_an_answer_and_leaves_one_that_its_steps_worsen(mesh
     pair = pair_of(mesh, 5, 60, randomised(0.001))
     problem, truth = build_problem(pair.current, pair.goal, pair.pivot_m), motion_of(pair)
     slid = Hypotheses(so3.exp(np.array([[0.0, 0.2, 0.0]])) @ truth.R, truth.t_m)
-    polished = polish(problem, Hypotheses(so3.exp(np.array([[0.0, 0.03, 0.0]])) @ truth.R, truth.t_m)).hypothesis
-    assert errors_deg(polished.R[0], pair.R_goal_current) < 1
+    polished = polish(problem, Hypotheses(so3.exp(np.array([[0.0, 0.03, 0.0]])) @ truth.R, truth.t_m))
+    assert errors_deg(polished.hypothesis.R[0], pair.R_goal_current) < 1
     assert uncertainty(problem, polished)[1]
-    assert not uncertainty(problem, slid)[1]
+    assert not uncertainty(problem, Polished(slid, 0))[1]
     monkeypatch.setattr(polish_module, "refine", lambda *_: slid)
     monkeypatch.setattr(polish_module, "register", lambda *_: Polished(slid, 5))
     assert polish(problem, truth).hypothesis is truth

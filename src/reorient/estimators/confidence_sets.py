@@ -10,56 +10,19 @@ That holds over estimates of one group: the same number of views (one pair, or m
 probability that the candidates have in all.
 """
 
-import json
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
-from reorient.errors import ReorientError
 from reorient.estimators.base import Candidate
+from reorient.estimators.calibration import load_calibration
 from reorient.estimators.views_verifier import fingerprint
 from reorient.registration import Evidence, Problem
 
-CALIBRATION = Path(__file__).with_name("calibration.json")
 NOISE = (0.0035, 0.0065)  # residual of the inliers, relative to the object diameter, that separate groups
 FOUND = (0.5, 0.9, 0.97)  # probability of all candidates together that separates groups
 Rotation = Float[np.ndarray, "3 3"]
-
-
-@dataclass(frozen=True, eq=False)
-class Calibration:
-    """What ``reorient verifier calibrate`` measured."""
-
-    verifier: str
-    """Fingerprint of the verifiers that it was measured with."""
-    truth: dict[str, Float[np.ndarray, " n"]]
-    """By group, the probability of the truth in each estimate, in ascending order; 0 where it was not found."""
-
-    def level(self, group: str, probability: float) -> float:
-        """Sets of a higher level hold a candidate with this probability."""
-        truth = self.truth[group]
-        return float(len(truth) - np.searchsorted(truth, probability, side="right")) / (len(truth) + 1)
-
-    def guaranteed(self, group: str) -> float:
-        """The largest level of a set that needs no rotation beside the candidates; 0 for a group without data."""
-        truth = self.truth.get(group, np.empty(0))
-        return float(np.count_nonzero(truth)) / (len(truth) + 1)
-
-
-@cache
-def load_calibration(path: Path = CALIBRATION) -> Calibration:
-    """The calibration of the package. Raises ReorientError for another kind of file."""
-    try:
-        data = json.loads(path.read_text())
-        return Calibration(data["verifier"], {name: np.sort(x) for name, x in data["truth"].items()})
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ReorientError(
-            f"cannot read the calibration {str(path)!r} ({error}): expected what `reorient verifier calibrate` writes"
-        ) from error
 
 
 def group_of(views: int, noise: float, found: float) -> str:

@@ -39,7 +39,7 @@ from reorient.runs.pool import Pool
 DISTINCT_RAD = np.radians(12)  # two hypotheses closer than this are one answer
 POSSIBLE = 0.01  # probability: a less likely hypothesis is in no confidence set
 ALTERNATIVE_ABOVE = 0.25  # of the answer's probability: a less likely hypothesis is no alternative
-ENOUGH = 0.95  # confidence of a fast search after which no longer one follows; docs/tuning.md, "Effort"
+ENOUGH = 0.95  # confidence of a short search after which no longer one follows; docs/tuning.md, "Effort"
 SURE = 0.9  # probability above which a known pivot is not doubted, and a hypothesis is as good as the answer
 CONTRADICTED2 = 5.0  # squared Mahalanobis distance of a motion from leaving the pivot in place that contradicts it
 IMPOSSIBLE2 = 50.0  # the same, however unlikely that motion is
@@ -53,7 +53,7 @@ class RotationSearch:
     several_views: ClassVar[bool] = True
 
     def __init__(self, effort: str | None = None, threads: int | None = 1) -> None:
-        """``effort``: of the search, fast or normal; None: fast, then normal where the confidence is below 0.95.
+        """``effort``: of the search, fast or normal; None: a part of fast, and normal where that leaves doubt.
         ``threads``: of the linear algebra of one estimate; None: as the library is set.
 
         Raises ReorientError for an unknown effort.
@@ -82,19 +82,22 @@ class RotationSearch:
         return track(current, goal, previous)
 
     def _verified(self, problem: Problem) -> "Verified":
-        """The hypotheses of a search, verified; with no fixed effort, of a longer one where a fast one leaves doubt."""
-        effort = self._effort or "fast"
-        verified = verify(problem, search(problem, EFFORTS[effort]), effort)
-        if self._effort is not None or verified.confidence >= ENOUGH:
-            return verified
-        return verify(problem, search(problem, EFFORTS["normal"], verified.found), "normal")
+        """The hypotheses of a search, verified; with no fixed effort, of a short one unless that leaves doubt."""
+        if self._effort is not None:
+            return self._fully_verified(problem)
+        short = verify(problem, search(problem, EFFORTS["fast"], robust=False), "fast")
+        return short if short.confidence >= ENOUGH else self._fully_verified(problem)
+
+    def _fully_verified(self, problem: Problem) -> "Verified":
+        effort = self._effort or "normal"
+        return verify(problem, search(problem, EFFORTS[effort]), effort)
 
     def _without_wrong_pivot(self, verified: "Verified") -> "Verified":
         """The hypotheses without the pivot where they are verified with it only poorly, and better without it."""
         prior = verified.problem.prior
         if not prior.known or verified.confidence >= SURE:
             return verified
-        freely = self._verified(verified.problem.without_pivot)
+        freely = self._fully_verified(verified.problem.without_pivot)
         best = freely.found.hypotheses[np.array([freely.best])]
         distance2 = prior.mahalanobis2(best.R, best.t_m)[0]
         more_likely = freely.confidence > max(verified.confidence, DOUBTED)
@@ -187,7 +190,7 @@ def polished(verified: Verified, group: Hypotheses = NONE) -> RotationEstimate:
     away_rad = so3.angle_difference(hypotheses.R[distinct][:, None], same.R).min(axis=1)
     others = distinct[away_rad > DISTINCT_RAD]
     answer = polish(problem, chosen, *([] if verified.found.silhouettes[best] else [verified.problem]))
-    covariance, converged = uncertainty(problem, answer.hypothesis)
+    covariance, converged = uncertainty(problem, answer)
     motion = answer.hypothesis.R[0], answer.hypothesis.t_m[0]
     evidence = verified.problem.evidence(*motion, INLIER_TOLERANCE * problem.diameter_m, EVIDENCE_POINTS)
     unsupported = not evidence.covisible_inlier_ratio >= LEAST_COVISIBLE  # also if it is NaN

@@ -7,7 +7,8 @@
 3. Gauss-Newton to the finest tolerance, and non-maximum suppression.
 
 All this twice: with the silhouettes, which help where the images show the whole object, and with less work without
-them, which mislead where part of it is missing. Both sets of hypotheses go to the verifier.
+them, which mislead where part of it is missing. Both sets of hypotheses go to the verifier. A first search whose best
+hypothesis needs to be beyond doubt does without the second.
 """
 
 from dataclasses import dataclass
@@ -127,22 +128,17 @@ class Found:
     """Best score first."""
     silhouettes: Bool[np.ndarray, " k"]
     """Which of them were refined with the silhouettes."""
-    apart: Hypotheses
-    """All of the search without the silhouettes, which is the same for every effort."""
 
 
-def search(problem: Problem, effort: Effort, before: Found | None = None) -> Found:
-    """Distinct hypotheses of a search with the silhouettes, and of one without. Deterministic.
-
-    ``before``: of a search of the same problem with another effort; what both share is taken from it.
-    """
-    apart = search_once(problem.without_silhouettes, EFFORTS["fast"]) if before is None else before.apart
-    found = search_once(problem, effort)
-    hypotheses = found.and_also(apart)
-    with_silhouettes = np.arange(len(hypotheses)) < len(found)
+def search(problem: Problem, effort: Effort, robust: bool = True) -> Found:
+    """Distinct hypotheses of a search with the silhouettes and, if ``robust``, of one without. Deterministic."""
+    hypotheses = search_once(problem, effort)
+    count = len(hypotheses)
+    if robust:
+        hypotheses = hypotheses.and_also(search_once(problem.without_silhouettes, EFFORTS["fast"]))
     score = problem.score(hypotheses, effort.stages[-1].scored_tolerance, effort.stages[-1].scored_points)
     kept = non_maximum_suppression(hypotheses.R, score, SAME_RAD)
-    return Found(hypotheses[kept], with_silhouettes[kept], apart)
+    return Found(hypotheses[kept], kept < count)
 
 
 def search_once(problem: Problem, effort: Effort) -> Hypotheses:

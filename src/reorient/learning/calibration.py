@@ -1,9 +1,13 @@
 """Calibration of confidence sets and covariances, on generated objects that the verifier was not trained on.
 
-A resumable run (``reorient.runs``) with a row for each estimate; ``fitted`` makes the package's ``calibration.json`` of
+A resumable run (``reorient.runs``) with a row for each estimate; ``fit`` makes the package's ``calibration.json`` of
 its rows.
 """
 
+import csv
+import gzip
+import json
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,10 +18,13 @@ from reorient import so3
 from reorient.errors import ReorientError, check_range
 from reorient.estimators import load_estimator
 from reorient.estimators.base import RotationEstimate
+from reorient.estimators.calibration import Calibration, load_calibration
+from reorient.estimators.confidence_sets import group_of
 from reorient.estimators.views_verifier import fingerprint
 from reorient.learning.verifier import RIGHT_DEG
 from reorient.learning.verifier_data import Sample, VerifierData, samples
 from reorient.registration import DepthView
+from reorient.runs.files import replacing
 from reorient.runs.pool import Pool
 from reorient.runs.run import Progress, Row, RowStore, Tables, resumable
 from reorient.world.goals import ALL_ROUND
@@ -25,6 +32,11 @@ from reorient.world.objects import ObjectSource
 from reorient.world.pairs import Pair
 from reorient.world.rendering import Renderer
 from reorient.world.symmetry import SymmetryGroup, rotation_group, symmetric_error
+
+LEVELS = (0.68, 0.95)
+WITHIN = (3.506, 7.815)  # quantiles of chi-squared with three degrees of freedom at these levels
+SCALES, FLOORS_RAD = np.geomspace(0.02, 50, 80), np.radians([0, 0.02, 0.04, 0.06, 0.08, 0.1, 0.13, 0.16, 0.2, 0.3])
+NOISE_MM = (0.1, 1.01)  # separates the rows between which the coverage of a covariance is balanced
 
 
 @dataclass(frozen=True)
@@ -117,3 +129,73 @@ def _rotation_error_rad(group: SymmetryGroup, pair: Pair, R: Float[np.ndarray, "
 
 def _numbers(values: Float[np.ndarray, " n"]) -> str:
     return " ".join(f"{x:.6g}" for x in values)
+
+
+# --- fitting --------------------------------------------------------------------------------------------------------
+
+
+def read(folder: Path) -> list[Row]:
+    """The rows of a finished run. Raises ReorientError where there are none."""
+    try:
+        with gzip.open(folder / "rows.csv.gz", "rt", newline="") as text:
+            return list(csv.DictReader(text))
+    except OSError as error:
+        raise ReorientError(
+            f"no rows in {str(folder)!r}: expected the folder of `reorient verifier calibrate`"
+        ) from error
+
+
+def fit(rows: Sequence[Row], out: Path | None = None, present: Calibration | None = None) -> dict[str, float]:
+    """Write the calibration (.json) that rows give, unless ``out`` is None; returns its figures by name.
+
+    ``present``: the calibration with which the rows were made; None: the package's.
+    """
+    present = present or load_calibration()
+    truth: dict[str, list[float]] = {}
+    for row in rows:
+        group = group_of(int(row["views"]), float(row["noise"]), float(row["found"]))
+        truth.setdefault(group, []).append(np.floor(1e4 * float(row["truth"])) / 1e4)
+    scale, floor_rad, coverage = fitted_covariance(rows, present)
+    document = {
+        "verifier": fingerprint(),
+        "scale": round(scale, 4),
+        "floor_rad": round(floor_rad, 6),
+        "truth": {name: sorted(truth[name]) for name in sorted(truth)},
+    }
+    if out is not None:
+        with replacing(out) as temporary:
+            temporary.write_text(json.dumps(document).replace("], ", "],\n") + "\n")
+    shares = {
+        f"{name}: truth among the candidates, of {len(x)}": float(np.count_nonzero(x)) / len(x)
+        for name, x in sorted(truth.items())
+    }
+    return {"estimates": len(rows), "scale": scale, "floor in degrees": np.degrees(floor_rad)} | coverage | shares
+
+
+def fitted_covariance(rows: Sequence[Row], present: Calibration) -> tuple[float, float, dict[str, float]]:
+    """Scale and floor with which the ellipsoids of right answers hold the truth as often as they state, whatever the
+    noise: the squared deviations over levels and ranges of noise are least. And their coverage by name."""
+    used = [row for row in rows if row["rotvec_rad"] and float(row["error_deg"]) < RIGHT_DEG]
+    if not used:
+        raise ReorientError("no right answer with an unambiguous rotation: expected more pairs")
+    rotvec = np.array([row["rotvec_rad"].split() for row in used], float)
+    stated = np.array([row["covariance_rad2"].split() for row in used], float).reshape(-1, 3, 3)
+    shape = (stated - present.floor_rad**2 * np.eye(3)) / present.scale
+    noise = np.searchsorted(NOISE_MM, [float(row["noise_mm"]) for row in used])
+
+    def coverage(scale: float, floor_rad: float) -> dict[str, float]:
+        covariance = scale * shape + (floor_rad**2 + 1e-12) * np.eye(3)
+        distance2 = np.einsum("ni,ni->n", rotvec, np.linalg.solve(covariance, rotvec[..., None])[..., 0])
+        return {
+            f"within {level:.0%}, noise {kind} ({np.count_nonzero(noise == kind)} answers)": float(
+                np.mean(distance2[noise == kind] <= within)
+            )
+            for kind in np.unique(noise)
+            for level, within in zip(LEVELS, WITHIN, strict=True)
+        }
+
+    def deviation(settings: tuple[float, float]) -> float:
+        return sum(abs(x - LEVELS[k % 2]) ** 2 for k, x in enumerate(coverage(*settings).values()))
+
+    best = min(((float(s), float(f)) for s in SCALES for f in FLOORS_RAD), key=deviation)
+    return *best, coverage(*best)
