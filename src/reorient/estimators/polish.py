@@ -1,5 +1,6 @@
 """The last steps of an estimate: Gauss-Newton on all returns, generalised ICP, and the covariance of the answer."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +9,7 @@ from jaxtyping import Float
 
 from reorient import se3, so3
 from reorient.estimators.calibration import load_calibration
-from reorient.registration import EVIDENCE_POINTS, Hypotheses, Problem, normal_equations, refine
+from reorient.registration import EVIDENCE_POINTS, DepthView, Hypotheses, PosedView, Problem, normal_equations, refine
 
 FEWEST_POINTS = 11  # of a cloud at its resolution; small_gicp warns of fewer; not tuned
 
@@ -122,6 +123,21 @@ def uncertainty(problem: Problem, answer: Polished) -> tuple[Float[np.ndarray, "
     covariance = to_origin @ covariance @ to_origin.T
     step_rad = float(np.linalg.norm((inverse @ g[0])[:3]))
     return covariance, step_rad <= float(np.sqrt(np.trace(covariance[:3, :3])))
+
+
+def expected_covariance(current: DepthView, goal: Sequence[PosedView]) -> Float[np.ndarray, "3 3"]:
+    """Covariance (rad^2) of the rotation vector that ``uncertainty`` is likely to give at the goal pose: that of the
+    primary goal view against all, with the noise of a current one. Steps and ICP are taken to end apart by as much as
+    the curvature leaves open."""
+    problem = Problem.of((PosedView.first(goal[0].view),), tuple(goal), None)
+    noise2 = (current.noise_m**2 + np.mean([x.view.noise_m**2 for x in goal])) / problem.diameter_m**2
+    residual = max(float(np.sqrt(noise2)), POLISH.quiet)
+    still = Hypotheses(np.eye(3)[None], np.zeros((1, 3)))
+    H, _ = normal_equations(problem, still, POLISH.noise_factor * residual, POLISH.points)
+    inverse = np.linalg.inv(H[0] + 1e-9 * np.eye(6))[:3, :3]
+    calibration = load_calibration()
+    shape = inverse * noise2 / residual**2
+    return np.asarray(calibration.scale * (1 + POLISH.spread_weight) * shape + calibration.floor_rad**2 * np.eye(3))
 
 
 def _differences(problem: Problem, answer: Hypotheses, others: Hypotheses) -> Float[np.ndarray, "k 6"]:

@@ -18,7 +18,7 @@ from reorient.estimators.base import History, RotationEstimate, check_pair, chec
 from reorient.estimators.confidence_sets import candidate_sets
 from reorient.estimators.equivalents import smallest_equivalent
 from reorient.estimators.goal_symmetry import NONE, equivalents, symmetries
-from reorient.estimators.polish import polish, uncertainty
+from reorient.estimators.polish import expected_covariance, polish, uncertainty
 from reorient.estimators.search import EFFORTS, Found, search
 from reorient.estimators.static_part import find_static_part
 from reorient.estimators.threads import threads
@@ -28,11 +28,13 @@ from reorient.imaging import DepthImage, Goal
 from reorient.registration import (
     EVIDENCE_POINTS,
     INLIER_TOLERANCE,
+    DepthView,
     Hypotheses,
     Problem,
     aligned_goal,
     build_problem,
     non_maximum_suppression,
+    posed_views,
 )
 from reorient.runs.pool import Pool
 
@@ -122,6 +124,12 @@ class RotationSearch:
         if not static.still and rest.confidence < verified.confidence:
             return verified
         return rest.with_warning(message + "the estimate is of the rest", *verified.warnings)
+
+    def final_covariance(self, current: DepthImage, goal: DepthImage | Goal) -> Float[np.ndarray, "3 3"]:
+        """Covariance (rad^2) of an estimate at the goal pose, by the goal's shape and the noise of the images."""
+        check_pair(current, goal)
+        with threads(self._threads):
+            return expected_covariance(DepthView(current), posed_views(aligned_goal(goal)[0]))
 
     def estimate_many(
         self,

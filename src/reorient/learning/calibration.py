@@ -29,9 +29,8 @@ from reorient.runs.pool import Pool
 from reorient.runs.run import Progress, Row, RowStore, Tables, resumable
 from reorient.world.goals import ALL_ROUND
 from reorient.world.objects import ObjectSource
-from reorient.world.pairs import Pair
 from reorient.world.rendering import Renderer
-from reorient.world.symmetry import SymmetryGroup, rotation_group, symmetric_error
+from reorient.world.symmetry import SymmetryGroup, nearest_equivalent, rotation_group, symmetric_error
 
 LEVELS = (0.68, 0.95)
 WITHIN = (3.506, 7.815)  # quantiles of chi-squared with three degrees of freedom at these levels
@@ -100,6 +99,7 @@ def _row(name: str, group: SymmetryGroup, sample: Sample, estimate: RotationEsti
     def error_deg(R: Float[np.ndarray, "3 3"]) -> float:
         return float(np.degrees(symmetric_error(group, R, pair.R_goal_current, pair.R_camera_object)))
 
+    true = nearest_equivalent(group, estimate.R_goal_current, pair.R_goal_current, pair.R_camera_object)
     truth = [x.probability for x in estimate.candidates if error_deg(x.R_goal_current) < RIGHT_DEG]
     return {
         "object": name,
@@ -113,18 +113,9 @@ def _row(name: str, group: SymmetryGroup, sample: Sample, estimate: RotationEsti
         "truth": f"{max(truth, default=0.0):.5f}",
         "candidates": str(len(estimate.candidates)),
         "error_deg": f"{error_deg(estimate.R_goal_current):.5f}",
-        "rotvec_rad": _numbers(_rotation_error_rad(group, pair, estimate.R_goal_current)),
+        "rotvec_rad": "" if true is None else _numbers(so3.log(true @ estimate.R_goal_current.T)),
         "covariance_rad2": _numbers(np.asarray(estimate.covariance_rad2).ravel()),
     }
-
-
-def _rotation_error_rad(group: SymmetryGroup, pair: Pair, R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, " n"]:
-    """The rotation vector from an answer to the nearest of the equivalent true rotations; empty where an axis of
-    revolution leaves it open."""
-    if len(group.axes) or group.spherical:
-        return np.empty(0)
-    true = pair.R_goal_current @ pair.R_camera_object @ group.rotations @ pair.R_camera_object.T
-    return np.asarray(so3.log(true[np.argmin(so3.angle_difference(true, R))] @ R.T))
 
 
 def _numbers(values: Float[np.ndarray, " n"]) -> str:
