@@ -18,8 +18,8 @@ CALIBRATION = Path(__file__).with_name("calibration.json")
 class Calibration:
     """What ``reorient verifier calibrate`` measured."""
 
-    verifier: str
-    """Fingerprint of the verifiers that it was measured with."""
+    verifiers: tuple[str, str]
+    """Fingerprints of the verifiers that it was measured with: for one pair of views, and for several."""
     truth: Mapping[str, Float[np.ndarray, " n"]]
     """By group, the probability of the truth in each estimate, in ascending order; 0 where it was not found."""
     scale: float
@@ -44,7 +44,7 @@ def load_calibration(path: Path = CALIBRATION) -> Calibration:
     try:
         data = json.loads(path.read_text())
         truth = {name: np.sort(x) for name, x in data["truth"].items()}
-        return Calibration(data["verifier"], truth, float(data["scale"]), float(data["floor_rad"]))
+        return Calibration((data["verifiers"][0], data["verifiers"][1]), truth, float(data["scale"]), float(data["floor_rad"]))
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise ReorientError(
             f"cannot read the calibration {str(path)!r} ({error}): expected what `reorient verifier calibrate` writes"

@@ -20,8 +20,8 @@ from reorient.estimators.calibration import load_calibration
 from reorient.estimators.views_verifier import fingerprint
 from reorient.registration import Evidence, Problem
 
-NOISE = (0.0035, 0.0065)  # residual of the inliers, relative to the object diameter, that separate groups
-FOUND = (0.5, 0.9, 0.97)  # probability of all candidates together that separates groups
+NOISE = (0.0055,)  # residual of the inliers, relative to the object diameter, that separate groups
+FOUND = (0.5, 0.8)  # probability of all candidates together that separates groups
 Rotation = Float[np.ndarray, "3 3"]
 
 
@@ -39,7 +39,7 @@ def candidate_sets(
     views = len(problem.views_now) * len(problem.goal_views)
     noise = float(np.nan_to_num(evidence.residual_m)) / problem.diameter_m
     group, calibration = group_of(views, noise, sum(p for _, p in named)), load_calibration()
-    if calibration.verifier != fingerprint() or group not in calibration.truth:
+    if calibration.verifiers[views > 1] != fingerprint(views > 1) or group not in calibration.truth:
         return tuple(Candidate(R, p, 1.0) for R, p in named), 0.0
     candidates = [Candidate(R, p, calibration.level(group, p)) for R, p in named]
     return tuple(candidates), calibration.guaranteed(group)

@@ -126,8 +126,9 @@ def load_views_verifier(path: Path = WEIGHTS) -> Verifier | None:
 
 
 @cache
-def fingerprint() -> str:
-    """Of all that ``assess`` uses: what was calibrated with other verifiers does not hold."""
-    found = (x for x in (load_verifier(), load_views_verifier()) if x is not None)
+def fingerprint(several: bool = False) -> str:
+    """Of all that ``assess`` uses, for one pair of views or for several: what was calibrated with other verifiers does
+    not hold."""
+    found = (x for x in (load_verifier(), load_views_verifier() if several else None) if x is not None)
     parts = [x.value.tobytes() + repr(sorted(x.calibration.items())).encode() for x in found]
     return hashlib.sha256(b"".join(parts)).hexdigest()[:16]

@@ -78,7 +78,7 @@ def measure(config: CalibrationData, out: Path, pool: Pool | None = None) -> Pro
     Raises ReorientError as ``resumable``.
     """
     tasks = {name: (config, number, name) for number, name in enumerate(config.objects.open().names)}
-    yield from resumable(out, config, tasks, _measure_object, RowStore(), pool, verifier=fingerprint())
+    yield from resumable(out, config, tasks, _measure_object, RowStore(), pool, verifiers=[fingerprint(), fingerprint(several=True)])
 
 
 def _measure_object(task: tuple[CalibrationData, int, str]) -> Tables:
@@ -148,7 +148,7 @@ def fit(rows: Sequence[Row], out: Path | None = None, present: Calibration | Non
         truth.setdefault(group, []).append(np.floor(1e4 * float(row["truth"])) / 1e4)
     scale, floor_rad, coverage = fitted_covariance(rows, present)
     document = {
-        "verifier": fingerprint(),
+        "verifiers": [fingerprint(), fingerprint(several=True)],
         "scale": round(scale, 4),
         "floor_rad": round(floor_rad, 6),
         "truth": {name: sorted(truth[name]) for name in sorted(truth)},
