@@ -5,7 +5,7 @@ import pytest
 
 from reorient.errors import ReorientError
 from reorient.estimators.verifier import FEATURES, load_verifier
-from reorient.estimators.views_verifier import VIEWS_FEATURES, load_views_verifier
+from reorient.estimators.views_verifier import VIEWS_FEATURES
 from reorient.learning.trees import fit_platt, fit_trees
 from reorient.learning.verifier import Shards, Training, held_out, train
 
@@ -49,7 +49,7 @@ def test_several_views_are_calibrated_by_their_number(tmp_path, rng):
     pair = np.arange(4000) // 2
     data = Shards(VIEWS_FEATURES, features, np.where(right, 1.0, 90.0), pair, pair // 20).only(order)
     train(data, tmp_path / "views.npz", training=FEW)
-    verifier = load_views_verifier(tmp_path / "views.npz")
+    verifier = load_verifier(tmp_path / "views.npz", VIEWS_FEATURES)
     assert set(verifier.calibration) == {"2 goal views", "3 goal views"}
     assert verifier.calibration["2 goal views"][0] < 0.7 * verifier.calibration["3 goal views"][0]
     with pytest.raises(ReorientError, match="features of another version"):

@@ -2,8 +2,8 @@
 
 The verifier of two views gives log-odds for each pair of a view now and a goal view. Their evidence is not independent,
 and a pair that hardly overlaps has little. So its log-odds and the most informative features of all pairs, as least,
-mean and largest, go through boosted trees of their own (``verifier-views.npz``), trained on problems of several views;
-without that file a fixed combination replaces them. A problem of two views needs neither.
+mean and largest, go through boosted trees of their own, trained on problems of several views (``verifier-views.npz``;
+its card is ``verifier-views.md``). With one goal view the mean of the log-odds is enough.
 """
 
 import hashlib
@@ -15,13 +15,12 @@ import numpy as np
 from jaxtyping import Float
 
 from reorient import so3
-from reorient.estimators.verifier import FEATURES, Verifier, features, load_verifier
+from reorient.estimators.verifier import FEATURES, features, load_verifier
 from reorient.registration import INLIER_TOLERANCE, Hypotheses, Problem
 
 WEIGHTS = Path(__file__).with_name("verifier-views.npz")
 POINTS = 1000  # of each image where there is one pair
 LEAST_WEIGHT = 0.05  # of a pair, for the share of its points that are not occluded
-COMBINED = (0.79, 0.72)  # Platt scaling of the fixed combination, on 73 pairs of tuning objects with 3 and 6 views
 
 _SUMMARISED = tuple(
     f"{way} {name}"
@@ -49,17 +48,11 @@ def assess(
     verifier = load_verifier()
     each = [features(*pair) for pair in problem.each_pair(hypotheses)]
     log_odds = np.stack([verifier.log_odds(x) for x in each])
-    if len(each) == 1:
-        return log_odds[0], verifier.probability(log_odds[0], effort)
-    trained = load_views_verifier()
-    if trained is None and len(problem.goal_views) == 1:
+    if len(problem.goal_views) == 1:  # the data of several views has hardly any of them
         return log_odds.mean(axis=0), verifier.probability(log_odds.mean(axis=0), effort)
-    if trained is None:
-        combined = _summary(each, log_odds)[[0, 3]].mean(axis=0)
-        scale, shift = COMBINED
-        return combined, 1 / (1 + np.exp(-(scale * combined + shift)))
-    combined = trained.log_odds(views_features(problem, hypotheses, each, log_odds))
-    return combined, trained.probability(combined, group_of(len(problem.goal_views)))
+    of_views = load_verifier(WEIGHTS, VIEWS_FEATURES)
+    combined = of_views.log_odds(views_features(problem, hypotheses, each, log_odds))
+    return combined, of_views.probability(combined, group_of(len(problem.goal_views)))
 
 
 def views_features(
@@ -120,15 +113,9 @@ def group_of(goal_views: int) -> str:
 
 
 @cache
-def load_views_verifier(path: Path = WEIGHTS) -> Verifier | None:
-    """The trained verifier of several views; None where there is none. Raises ReorientError as ``load_verifier``."""
-    return load_verifier(path, VIEWS_FEATURES) if path.is_file() else None
-
-
-@cache
 def fingerprint(several: bool = False) -> str:
     """Of all that ``assess`` uses, for one pair of views or for several: what was calibrated with other verifiers does
     not hold."""
-    found = (x for x in (load_verifier(), load_views_verifier() if several else None) if x is not None)
+    found = (load_verifier(), load_verifier(WEIGHTS, VIEWS_FEATURES)) if several else (load_verifier(),)
     parts = [x.value.tobytes() + repr(sorted(x.calibration.items())).encode() for x in found]
     return hashlib.sha256(b"".join(parts)).hexdigest()[:16]

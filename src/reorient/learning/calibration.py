@@ -78,7 +78,9 @@ def measure(config: CalibrationData, out: Path, pool: Pool | None = None) -> Pro
     Raises ReorientError as ``resumable``.
     """
     tasks = {name: (config, number, name) for number, name in enumerate(config.objects.open().names)}
-    yield from resumable(out, config, tasks, _measure_object, RowStore(), pool, verifiers=[fingerprint(), fingerprint(several=True)])
+    yield from resumable(
+        out, config, tasks, _measure_object, RowStore(), pool, verifiers=[fingerprint(), fingerprint(several=True)]
+    )
 
 
 def _measure_object(task: tuple[CalibrationData, int, str]) -> Tables:
