@@ -44,9 +44,8 @@ def load_calibration(path: Path = CALIBRATION) -> Calibration:
     try:
         data = json.loads(path.read_text())
         truth = {name: np.sort(x) for name, x in data["truth"].items()}
-        return Calibration(
-            (data["verifiers"][0], data["verifiers"][1]), truth, float(data["scale"]), float(data["floor_rad"])
-        )
+        one, several = data["verifiers"]
+        return Calibration((one, several), truth, float(data["scale"]), float(data["floor_rad"]))
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise ReorientError(
             f"cannot read the calibration {str(path)!r} ({error}): expected what `reorient verifier calibrate` writes"
