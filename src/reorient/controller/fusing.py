@@ -193,6 +193,6 @@ class _Fused:
         return cls(R_goal_now, angle_rad, error_rad, settled, s.belief.error_covariance(s.best))
 
     def __str__(self) -> str:
-        known = self.covariance_rad2 is not None
-        error_rad = float(np.sqrt(np.trace(self.covariance_rad2))) if known else self.error_rad
+        whole = self.covariance_rad2
+        error_rad = self.error_rad if whole is None else float(np.sqrt(np.trace(whole)))
         return f"fused {format_number(float(np.degrees(self.angle_rad)))} +- {degrees(error_rad, 2)}"

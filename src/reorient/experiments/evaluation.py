@@ -248,18 +248,17 @@ def measured(
         answer = for_any_goal(estimator).estimate(current, goal, pivot_m)
         estimate = as_estimate(answer, current, as_goal(goal).image)
     except USER_ERRORS as error:
-        estimate, message, figures = None, in_words(error), {}
-    else:
-        message = ""
-        evidence = estimate.evidence
-        names = ("score", "inlier_ratio", "free_space_violation", "silhouette_violation", "occluded")
-        figures = {name: f"{getattr(evidence, name):.4f}" for name in names} | {
-            "residual_mm": f"{1000 * evidence.residual_m:.4f}",
-            "converged": "" if evidence.converged is None else str(int(evidence.converged)),
-            "iterations": "" if evidence.iterations is None else str(evidence.iterations),
-            "confidence": "" if estimate.confidence is None else f"{estimate.confidence:.4f}",
-        }
-    return estimate, figures | {"seconds": f"{time.process_time() - begin:.5f}", "message": message}
+        return None, {"seconds": f"{time.process_time() - begin:.5f}", "message": in_words(error)}
+    evidence = estimate.evidence
+    names = ("score", "inlier_ratio", "free_space_violation", "silhouette_violation", "occluded")
+    return estimate, {name: f"{getattr(evidence, name):.4f}" for name in names} | {
+        "residual_mm": f"{1000 * evidence.residual_m:.4f}",
+        "converged": "" if evidence.converged is None else str(int(evidence.converged)),
+        "iterations": "" if evidence.iterations is None else str(evidence.iterations),
+        "confidence": "" if estimate.confidence is None else f"{estimate.confidence:.4f}",
+        "seconds": f"{time.process_time() - begin:.5f}",
+        "message": "",
+    }
 
 
 def answer_cells(R: Float[np.ndarray, "3 3"], pair: Pair, group: SymmetryGroup) -> dict[str, str]:
