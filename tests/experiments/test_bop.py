@@ -4,6 +4,7 @@ import csv
 import gzip
 import json
 import re
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -251,3 +252,33 @@ def test_a_broken_dataset_is_refused(dataset, tmp_path):
         (scene / "scene_gt.json").write_text("[1]" if name == "scene_gt.json" else json.dumps({"1": [], "2": []}))
         with pytest.raises(ReorientError, match="expected"):
             run(BopEvaluation(broken), tmp_path / f"out-{name}")
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "value"),
+    [
+        ("scene_gt.json", "obj_id", None),
+        ("scene_gt.json", "cam_R_m2c", [1.0, 0.0]),
+        ("scene_gt.json", "cam_t_m2c", "near"),
+        ("models_info.json", "diameter", None),
+        ("models_info.json", "symmetries_discrete", [[1.0] * 15]),
+    ],
+)
+def test_what_is_missing_or_wrong_in_a_file_is_named(dataset, tmp_path, name, key, value):
+    broken = tmp_path / "broken"
+    shutil.copytree(dataset, broken)
+    (file,) = broken.rglob(name)
+    content = json.loads(file.read_text())
+    (content["1"][1] if name == "scene_gt.json" else content["1"])[key] = value
+    file.write_text(json.dumps(content))
+    with pytest.raises(ReorientError, match=rf"{name}' is not in BOP's layout \(.*\): expected"):
+        run(BopEvaluation(broken, objects=(1,), pairs=6, estimators=("gicp",)), tmp_path / "out")
+
+
+def test_files_that_contradict_each_other_are_refused(dataset, tmp_path):
+    broken = tmp_path / "broken"
+    shutil.copytree(dataset, broken)
+    (file,) = broken.rglob("scene_gt_info.json")
+    file.write_text(json.dumps({"4": [{"visib_fract": 1.0}]}))  # of two instances
+    with pytest.raises(ReorientError, match=r"expected obj_id of each instance, as many as scene_gt_info.json has"):
+        views(broken, "test", ())

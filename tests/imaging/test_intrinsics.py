@@ -413,6 +413,12 @@ def test_a_principal_point_beyond_an_image_of_unknown_size_is_refused(tmp_path, 
     assert "far from the centre" in caplog.text
 
 
+def test_normalised_intrinsics_are_refused(tmp_path, frame):
+    path = written(tmp_path, "c.json", {"fx": 0.9, "fy": 1.2, "cx": 0.5, "cy": 0.5})
+    with pytest.raises(ReorientError, match=r"focal lengths \(0.9, 1.2\): expected pixels; multiply normalised"):
+        read_depth(frame, path)
+
+
 # --- lens distortion is never ignored -------------------------------------------------------------------------------
 
 PLAIN = {"width": 640, "height": 480, "fx": 612.5, "fy": 610.25, "cx": 321.0, "cy": 238.5}
@@ -530,6 +536,11 @@ def test_an_azure_kinect_file_that_does_not_fit_is_refused(tmp_path):
         ("large.json", PLAIN | {"fx": 10**400}, "is no number|expected finite"),
         ("tiny.json", PLAIN | {"fx": 1e-308}, "fx=1e-308.*expected finite pixels"),
         ("scale.json", PLAIN | {"depth_scale": 1e-300}, "depth_scale 1e-300: expected metres per unit"),
+        (
+            "scale.json",
+            REALSENSE | {"depth_scale": 0.001, "depth_units": 0.0001},
+            r"depthunits \(0.0001 m\) and depth_scale \(0.001 m\) contradict each other: expected one depth scale",
+        ),
         ("scale.json", PLAIN | {"depth_scale": 30}, "depth_scale 30: expected metres per unit"),
         ("scale.json", PLAIN | {"depth_scale": -1}, "depth_scale.*expected a number above 0"),
         ("alias.yaml", "a: &a [1]\nb: *a\n", "has a YAML alias"),

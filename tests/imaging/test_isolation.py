@@ -163,6 +163,20 @@ def test_stray_returns_and_farther_things_are_removed():
     assert iou(kept.valid, owner == 0) > 0.93
 
 
+def test_small_pieces_close_to_the_object_belong_to_it_and_others_do_not():
+    """Leaves on thin stems that returned nothing: each less than a thirtieth of the object."""
+    leaves = [block((0.045, y, 0.05), (0.053, y + 0.008, 0.053)) for y in (-0.02, -0.005, 0.01)]
+    far = block((0.045, 0.06, 0.05), (0.053, 0.068, 0.053))
+    body = block((-0.05, -0.03, 0.0), (0.038, 0.03, 0.05))
+    image, owner = view(body, *leaves, far, TABLE, noise_m=0.001)
+    kept = isolate(image, remove_plane=True).valid
+    for index in (1, 2, 3):
+        assert 8 <= np.count_nonzero(owner == index) < 0.03 * np.count_nonzero(owner == 0)
+        assert kept[owner == index].mean() > 0.8
+    assert np.count_nonzero(owner == 4) >= 8
+    assert not kept[owner == 4].any()
+
+
 # --- the three states -----------------------------------------------------------------------------------------------
 
 
@@ -195,6 +209,19 @@ def test_a_finger_before_the_object_is_unknown_and_the_table_before_it_is_not():
     assert kept.unknown[owner == 2].mean() < 0.02
     standing, owner = view(PART, TABLE)
     assert not isolate(standing, owner == 0).unknown.any()
+
+
+@pytest.mark.parametrize("way", ["plane", "background"])
+def test_a_part_that_is_lost_with_the_table_is_unknown(way):
+    """A base lower than what noise lets distinguish from the table, beside a tower: not reported as empty."""
+    tower, base = block((-0.05, -0.02, 0.0), (-0.01, 0.02, 0.05)), block((-0.01, -0.012, 0.0), (0.06, 0.012, 0.0018))
+    image, owner = view(trimesh.util.concatenate([tower, base]), TABLE, noise_m=0.0018)
+    empty, _ = view(TABLE, noise_m=0.0014, seed=1)
+    kept = isolate(image, remove_plane=True) if way == "plane" else isolate(image, background=empty)
+    lost = (owner == 0) & ~kept.valid
+    assert np.count_nonzero(lost) > 100
+    assert kept.unknown[lost].mean() > 0.5
+    assert np.count_nonzero(kept.unknown & (owner == 1)) < 0.05 * np.count_nonzero(owner == 0)
 
 
 def test_pixels_of_the_mask_without_return_are_unknown():
@@ -274,6 +301,10 @@ def test_a_mask_of_everything_is_refused():
         ({"near_m": 0.6, "far_m": 0.5}, "depth range 0.6 to 0.5 m: expected near below far"),
         ({"near_m": -1.0}, "near_m=-1.0: expected metres from 0"),
         ({"far_m": "x"}, "far_m='x': expected metres from 0"),
+        ({"near_m": True}, "near_m=True: expected metres from 0"),
+        ({"remove_plane": "yes"}, "remove_plane='yes': expected true or false"),
+        ({"allow_touching": "no"}, "allow_touching='no': expected true or false"),
+        ({"background": 3}, "background=3: expected a DepthImage or the name of its file"),
         ({"radius_m": 0.1}, "a sphere needs its centre and its radius"),
         ({"around_m": (0, 0), "radius_m": 0.1}, "expected x, y, z in camera axes"),
         (
@@ -321,6 +352,8 @@ def test_the_summary_states_size_distance_and_pixels_and_warns():
     np.testing.assert_allclose(whole.size_m, (0.14, 0.08, 0.0), atol=0.004)
     assert str(whole) == "object of 138 x 78 x 0 mm at 0.46 m, 2800 px"
     assert pair_warnings(whole, whole) == []
+    (warning,) = pair_warnings(*[replace(whole, size_m=(1.4, 0.8, 0.0), distance_m=4.6)] * 2)
+    assert warning.startswith("the object measures 1.6 m at 4.6 m: is the depth scale right? (--depth-scale;")
     depth_m[:, 85:] = 0
     half = Summary.of(DepthImage(depth_m, CAMERA))
     (warning,) = pair_warnings(whole, half)

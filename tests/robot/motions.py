@@ -61,9 +61,28 @@ def once_moving(still: Callable[[], np.ndarray], act: Callable[[], object], angl
     threading.Thread(target=wait, daemon=True).start()
 
 
-def stops_on_ctrl_c(arm: SupervisedArm, goal: np.ndarray, still: Callable[[], np.ndarray]) -> None:
+def reaches_its_poses(
+    arm: SupervisedArm, still: Callable[[], np.ndarray], distance_m: float = 1e-3, angle_deg: float = 0.1
+) -> None:
+    """Each move ends at its pose, by the driver's answer and by the device's own pose."""
+    for rotvec_rad, t_m in MOVES:
+        goal = moved(arm.pose(), rotvec_rad, t_m)
+        assert close(arm.move_to(goal), goal, distance_m, angle_deg)
+        assert close(still(), goal, distance_m, angle_deg)
+
+
+def ends_a_move_by(
+    arm: SupervisedArm, still: Callable[[], np.ndarray], act: Callable[[], object], message: str
+) -> None:
+    """What happens in the middle of a move ends it with an error."""
+    once_moving(still, act)
+    with pytest.raises(StationError, match=message):
+        arm.move_to(moved(arm.pose(), (0.0, 0.0, 0.8)))
+
+
+def stops_on_ctrl_c(arm: SupervisedArm, still: Callable[[], np.ndarray]) -> None:
     """Ctrl-C in the middle of a move: the arm stops on the way, and is not moved again."""
-    start = still()
+    start, goal = still(), moved(arm.pose(), (0.0, 0.0, 0.8))
     once_moving(still, lambda: os.kill(os.getpid(), signal.SIGINT))
     with pytest.raises(KeyboardInterrupt):
         arm.move_to(goal)

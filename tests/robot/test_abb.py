@@ -41,12 +41,7 @@ def truth(controller: Peer) -> np.ndarray:
 
 
 def test_a_motion_ends_where_the_controller_is(controller, connect):
-    arm = connect()
-    for rotvec_rad, t_m in motions.MOVES:
-        goal = motions.moved(arm.pose(), rotvec_rad, t_m)
-        reached = arm.move_to(goal)
-        assert motions.close(reached, goal)
-        assert motions.close(truth(controller), goal)
+    motions.reaches_its_poses(connect(), lambda: truth(controller))
 
 
 def test_poses_are_millimetres_and_wxyz(controller, connect):
@@ -87,9 +82,7 @@ def test_the_commanded_poses_keep_the_limits(controller, connect):
 )
 def test_a_stop_of_the_controller_in_a_move(controller, connect, field, message):
     arm = connect(speed_deg_s=20.0)
-    motions.once_moving(lambda: truth(controller), lambda: controller.ask("set", field, False))
-    with pytest.raises(StationError, match=message):
-        arm.move_to(motions.moved(arm.pose(), (0, 0, 0.8)))
+    motions.ends_a_move_by(arm, lambda: truth(controller), lambda: controller.ask("set", field, False), message)
     controller.ask("set", field, True)  # started again by the operator: the arm stays
     motions.refuses_to_move_again(arm, lambda: truth(controller))
 
@@ -108,21 +101,22 @@ def test_a_robot_that_was_moved_while_egm_was_off_does_not_jump_back(controller,
 
 def test_ctrl_c_stops_the_arm(controller, connect):
     arm = connect(speed_deg_s=20.0)
-    motions.stops_on_ctrl_c(arm, motions.moved(arm.pose(), (0, 0, 0.8)), lambda: truth(controller))
+    motions.stops_on_ctrl_c(arm, lambda: truth(controller))
 
 
 def test_a_blocked_arm_does_not_reach_its_pose(controller, connect):
     arm = connect(speed_deg_s=40.0)
-    motions.once_moving(lambda: truth(controller), lambda: controller.ask("set", "following", False))
-    with pytest.raises(StationError, match=r"pose not reached: at rest .* deg from it"):
-        arm.move_to(motions.moved(arm.pose(), (0, 0, 0.5)))
+    motions.ends_a_move_by(
+        arm,
+        lambda: truth(controller),
+        lambda: controller.ask("set", "following", False),
+        r"pose not reached: at rest .* deg from it",
+    )
 
 
 def test_a_controller_that_dies_in_a_move(controller, connect):
     arm = connect(speed_deg_s=20.0)
-    motions.once_moving(lambda: truth(controller), controller.kill)
-    with pytest.raises(StationError, match="connection to the controller lost"):
-        arm.move_to(motions.moved(arm.pose(), (0, 0, 0.8)))
+    motions.ends_a_move_by(arm, lambda: truth(controller), controller.kill, "connection to the controller lost")
 
 
 def test_a_second_client_is_refused(controller, connect):
@@ -132,5 +126,5 @@ def test_a_second_client_is_refused(controller, connect):
 
 
 def test_no_controller():
-    with pytest.raises(StationError, match="no message at UDP port 16599 within 0.3 s"):
+    with pytest.raises(StationError, match="no message at UDP port 16599 within 0.5 s"):
         AbbArm(port=16599, timeout_s=0.3)

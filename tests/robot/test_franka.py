@@ -77,14 +77,17 @@ def test_the_speed_limit_holds(controller):
 
 def test_ctrl_c_stops_the_arm(controller):
     arm = connect(controller, speed_deg_s=20.0)
-    motions.stops_on_ctrl_c(arm, motions.moved(arm.pose(), (0, 0, 0.8)), lambda: hand(controller))
+    motions.stops_on_ctrl_c(arm, lambda: hand(controller))
 
 
 def test_a_reflex_of_the_controller(controller):
     arm = connect(controller, speed_deg_s=20.0)
-    motions.once_moving(lambda: hand(controller), lambda: controller.ask("reflex"))
-    with pytest.raises(StationError, match=r"the controller of .* stopped the arm: .*[Rr]eflex"):
-        arm.move_to(motions.moved(arm.pose(), (0, 0, 0.8)))
+    motions.ends_a_move_by(
+        arm,
+        lambda: hand(controller),
+        lambda: controller.ask("reflex"),
+        r"the controller of .* stopped the arm: .*[Rr]eflex",
+    )
     motions.refuses_to_move_again(arm, lambda: hand(controller))
 
 

@@ -32,12 +32,7 @@ def told_to_stop(controller: Peer) -> bool:
 
 
 def test_a_motion_ends_where_the_controller_is(controller):
-    arm = connect(controller)
-    for rotvec_rad, t_m in motions.MOVES:
-        goal = motions.moved(arm.pose(), rotvec_rad, t_m)
-        reached = arm.move_to(goal)
-        assert motions.close(reached, goal, 1e-5, 1e-3)
-        assert motions.close(truth(controller), goal, 1e-5, 1e-3)
+    motions.reaches_its_poses(connect(controller), lambda: truth(controller), 1e-5, 1e-3)
 
 
 def test_the_pose_is_metres_and_a_rotation_vector(controller):
@@ -62,9 +57,7 @@ def test_a_program_is_one_movel_within_the_limits(controller):
 )
 def test_a_stop_of_the_controller_in_a_move(controller, bit, message):
     arm = connect(controller, speed_deg_s=20.0)
-    motions.once_moving(lambda: truth(controller), lambda: controller.ask("safety", bit))
-    with pytest.raises(StationError, match=message):
-        arm.move_to(motions.moved(arm.pose(), (0, 0, 0.8)))
+    motions.ends_a_move_by(arm, lambda: truth(controller), lambda: controller.ask("safety", bit), message)
     motions.refuses_to_move_again(arm, lambda: truth(controller))
     controller.ask("set", "safety_bits", 1)  # released by the operator: still nothing is commanded
     motions.refuses_to_move_again(arm, lambda: truth(controller))
@@ -73,15 +66,15 @@ def test_a_stop_of_the_controller_in_a_move(controller, bit, message):
 
 def test_a_pause_at_the_pendant(controller):
     arm = connect(controller, speed_deg_s=20.0)
-    motions.once_moving(lambda: truth(controller), lambda: controller.ask("set", "runtime_state", 4))
-    with pytest.raises(StationError, match="paused at the pendant"):
-        arm.move_to(motions.moved(arm.pose(), (0, 0, 0.8)))
+    motions.ends_a_move_by(
+        arm, lambda: truth(controller), lambda: controller.ask("set", "runtime_state", 4), "paused at the pendant"
+    )
     assert told_to_stop(controller)
 
 
 def test_ctrl_c_stops_the_arm(controller):
     arm = connect(controller, speed_deg_s=20.0)
-    motions.stops_on_ctrl_c(arm, motions.moved(arm.pose(), (0, 0, 0.8)), lambda: truth(controller))
+    motions.stops_on_ctrl_c(arm, lambda: truth(controller))
     assert told_to_stop(controller)
 
 
@@ -96,18 +89,21 @@ def test_a_move_that_is_not_finished_in_time_is_stopped(controller):
 
 def test_a_controller_that_dies_in_a_move(controller):
     arm = connect(controller, speed_deg_s=20.0)
-    motions.once_moving(lambda: truth(controller), controller.kill)
-    with pytest.raises(StationError, match="connection to the controller at 127.0.0.1 lost"):
-        arm.move_to(motions.moved(arm.pose(), (0, 0, 0.8)))
+    motions.ends_a_move_by(
+        arm, lambda: truth(controller), controller.kill, "connection to the controller at 127.0.0.1 lost"
+    )
     assert "stopping failed, too" in arm.failure
 
 
 def test_a_network_that_goes_silent_in_a_move(controller):
     """The state stops, the script port still answers: the driver stops the arm."""
     arm = connect(controller, speed_deg_s=20.0)
-    motions.once_moving(lambda: truth(controller), lambda: controller.ask("silent"))
-    with pytest.raises(StationError, match="connection to the controller at 127.0.0.1 lost: no state"):
-        arm.move_to(motions.moved(arm.pose(), (0, 0, 0.8)))
+    motions.ends_a_move_by(
+        arm,
+        lambda: truth(controller),
+        lambda: controller.ask("silent"),
+        "connection to the controller at 127.0.0.1 lost: no state",
+    )
     assert told_to_stop(controller)
     motions.refuses_to_move_again(arm, lambda: truth(controller))
 
@@ -124,9 +120,12 @@ def test_another_program_on_the_controller(controller):
 def test_another_client_that_takes_over_in_a_move(controller):
     arm, other = connect(controller, speed_deg_s=20.0), connect(controller)
     elsewhere = motions.moved(arm.pose(), (0, 0, -0.3))
-    motions.once_moving(lambda: truth(controller), lambda: other._send("stopl(1)") or other.move_to(elsewhere))
-    with pytest.raises(StationError, match=r"pose not reached: at rest .* another program|another program runs"):
-        arm.move_to(motions.moved(arm.pose(), (0, 0, 0.8)))
+    motions.ends_a_move_by(
+        arm,
+        lambda: truth(controller),
+        lambda: other._send("stopl(1)") or other.move_to(elsewhere),
+        r"pose not reached: at rest .* another program|another program runs",
+    )
 
 
 def test_a_pose_that_jumps(controller):

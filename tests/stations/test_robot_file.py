@@ -54,6 +54,11 @@ def test_camera_and_arm_share_the_simulated_cell(file):
         (DRIVERS + "[limits]\nmax_step = 3\n", r"unknown key in \[limits\].*did you mean 'max_step_deg'"),
         (DRIVERS + "[isolation]\nnear = 3\n", r"unknown key in \[isolation\].*did you mean 'near_m'"),
         (DRIVERS + "[isolation]\nradius_m = 0.2\n", "radius_m without around_m"),
+        (
+            DRIVERS + '[isolation]\nallow_touching = "no"\n',
+            r"\[isolation\] .*allow_touching='no': expected true or false",
+        ),
+        (DRIVERS + '[isolation]\nbackground = "empty.png"\n', r"no file '.*empty.png': expected the frame without"),
         (DRIVERS + "[tool]\npoint = 3\n", "did you mean 'point_m'"),
         (DRIVERS + "[tool]\npoint_m = [0, 1]\n", "expected three finite metres"),
         (DRIVERS + "[limits]\nmax_step_deg = -1\n", r"\[limits\] .*max_step_deg=-1"),

@@ -41,6 +41,15 @@ def test_the_object_rotates_in_camera_axes_and_stays_in_its_place(cell, station)
     assert isinstance(station, Station)
 
 
+def test_each_of_two_moves_after_a_frame_reports_its_own_motion(cell, station):
+    """The loop makes a large rotation in parts, without frames between them."""
+    station.capture()
+    for step in (STEP, STEP.T @ STEP.T, STEP):
+        np.testing.assert_allclose(station.rotate(step), step, atol=1e-9)
+    np.testing.assert_allclose(station.move(MOVE), MOVE, atol=1e-9)
+    np.testing.assert_allclose(station.move(MOVE), MOVE, atol=1e-9)
+
+
 MOVE = se3.transform(so3.exp(np.array([0.05, -0.1, 0.2])), np.array([0.03, -0.02, 0.04]))
 
 

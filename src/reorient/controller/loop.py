@@ -5,7 +5,7 @@ It knows only the protocols of estimator, station and strategy. Recording, drawi
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -74,39 +74,36 @@ def orient(
         raise ReorientError(f"limits {limits!r}: expected reorient.Limits, or None")
     pivot_m = pivot_of(station) if pivot_m is None else pivot_m
     check_pair(goal.image, goal, pivot_m)
-    loop = _Loop(station, goal, for_any_goal(estimator), strategy, pivot_m, limits or Limits(), subscribers)
+    limits = limits or Limits()
+    loop = _Loop(Session(station, limits), goal, for_any_goal(estimator), strategy, pivot_m, limits, subscribers)
     try:
         return loop.run_in_place() if translation else loop.run()
     finally:
         loop.session.close()
 
 
+@dataclass(eq=False)
 class _Loop:
     """One run: the record so far, and the acts that add to it."""
 
-    def __init__(
-        self,
-        station: Station,
-        goal: Goal,
-        estimator: Estimator,
-        strategy: Strategy | None,
-        pivot_m: Float[np.ndarray, "3"] | None,
-        limits: Limits,
-        subscribers: Sequence[Callable[[Step], None]],
-    ) -> None:
-        self.session, self.goal, self.estimator, self.strategy = Session(station, limits), goal, estimator, strategy
-        self.pivot_m, self.limits, self.subscribers = pivot_m, limits, subscribers
-        self.steps: list[Step] = []
-        self.belief: Any = None
-        """The strategy's; None before the first step."""
-        self.errors: list[str] = []
-        self.consecutive_errors = 0
-        self.motion: MotionRecord | None = None
-        """How the reported rotations compare with the images; None before the first image."""
-        self.expected_rad: float | None = None
-        """The error to expect at the end; None before the first image, and where it is unknown."""
-        self.confirmed = False
-        """Whether the first move has been confirmed."""
+    session: Session
+    goal: Goal
+    estimator: Estimator
+    strategy: Strategy | None
+    pivot_m: Float[np.ndarray, "3"] | None
+    limits: Limits
+    subscribers: Sequence[Callable[[Step], None]]
+    steps: list[Step] = field(default_factory=list)
+    belief: Any = None
+    """The strategy's; None before the first step."""
+    errors: list[str] = field(default_factory=list)
+    consecutive_errors: int = 0
+    motion: MotionRecord | None = None
+    """How the reported rotations compare with the images; None before the first image."""
+    expected_rad: float | None = None
+    """The error to expect at the end; None before the first image, and where it is unknown."""
+    confirmed: bool = False
+    """Whether the first move has been confirmed."""
 
     def run(self) -> OrientResult:
         try:

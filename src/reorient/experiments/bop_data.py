@@ -5,7 +5,8 @@ As documented in bop_toolkit's "Format of BOP datasets" (scene-wise): a folder f
 ``models_info.json``. Lengths in the files are millimetres.
 """
 
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -46,12 +47,13 @@ class View:
 
     def pose(self) -> Transform:
         """T_camera_model, (4, 4), metres. Raises ReorientError for a pose that is no rigid transform."""
-        stated = _scene(self.folder, "scene_gt.json")[str(self.image)][self.annotation]
-        R = np.array(stated["cam_R_m2c"], float).reshape(3, 3)
+        with _expected(self.folder / "scene_gt.json", f"cam_R_m2c and cam_t_m2c in image {self.image}"):
+            stated = _scene(self.folder, "scene_gt.json")[str(self.image)][self.annotation]
+            R = np.array(stated["cam_R_m2c"], float).reshape(3, 3)
+            t_m = np.array(stated["cam_t_m2c"], float).reshape(3) / 1000
         if not so3.is_rotation(R, tolerance=1e-2):
             raise ReorientError(f"pose of image {self.image} in {str(self.folder)!r}: expected a rotation")
-        R = so3.matrix_from_quat(so3.normalize(so3.quat_from_matrix(R)))  # files are rounded
-        return se3.transform(R, np.array(stated["cam_t_m2c"], float) / 1000)
+        return se3.transform(so3.matrix_from_quat(so3.normalize(so3.quat_from_matrix(R))), t_m)  # files are rounded
 
     def depth(self) -> DepthImage:
         """The object alone, by its ``mask_visib``. Raises ReorientError for missing or broken files."""
@@ -130,12 +132,22 @@ def _views_of_scene(folder: Path) -> list[View]:
     annotations = _scene(folder, "scene_gt.json")
     visible = _scene(folder, "scene_gt_info.json") if (folder / "scene_gt_info.json").is_file() else {}
     found = []
-    for image, instances in annotations.items():
-        shares = [info.get("visib_fract", 1.0) for info in visible.get(image, [])] or [1.0] * len(instances)
-        for place, (instance, share) in enumerate(zip(instances, shares, strict=True)):
-            if share >= LEAST_VISIBLE:
-                found.append(View(folder, int(image), place, int(instance["obj_id"])))
+    with _expected(folder / "scene_gt.json", "obj_id of each instance, as many as scene_gt_info.json has, by image"):
+        for image, instances in annotations.items():
+            shares = [info.get("visib_fract", 1.0) for info in visible.get(image, [])] or [1.0] * len(instances)
+            for place, (instance, share) in enumerate(zip(instances, shares, strict=True)):
+                if share >= LEAST_VISIBLE:
+                    found.append(View(folder, int(image), place, int(instance["obj_id"])))
     return found
+
+
+@contextmanager
+def _expected(file: Path, contents: str) -> Iterator[None]:
+    """Report what is missing or wrong in the contents of a file as a ReorientError."""
+    try:
+        yield
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+        raise ReorientError(f"{str(file)!r} is not in BOP's layout ({error!r}): expected {contents}") from error
 
 
 @lru_cache(maxsize=64)
@@ -158,10 +170,11 @@ def load_model(dataset: Path, obj_id: int) -> Model:
     vertices_m = np.asarray(load_mesh(folder / f"obj_{obj_id:06d}.ply").vertices, float) / 1000
     with suppress(QhullError):  # a flat model has no hull
         vertices_m = vertices_m[ConvexHull(vertices_m).vertices]
-    discrete = np.array([np.eye(4).ravel(), *info.get("symmetries_discrete", [])], float).reshape(-1, 4, 4)
-    discrete[:, :3, 3] /= 1000
-    continuous = info.get("symmetries_continuous", [])
-    axes = np.array([one["axis"] for one in continuous], float).reshape(-1, 3)
-    offsets_m = np.array([one.get("offset", [0, 0, 0]) for one in continuous], float).reshape(-1, 3) / 1000
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    return Model(vertices_m, float(info["diameter"]) / 1000, discrete, axes, offsets_m)
+    with _expected(folder / "models_info.json", f"diameter and symmetries of object {obj_id}"):
+        discrete = np.array([np.eye(4).ravel(), *info.get("symmetries_discrete", [])], float).reshape(-1, 4, 4)
+        discrete[:, :3, 3] /= 1000
+        continuous = info.get("symmetries_continuous", [])
+        axes = np.array([one["axis"] for one in continuous], float).reshape(-1, 3)
+        offsets_m = np.array([one.get("offset", [0, 0, 0]) for one in continuous], float).reshape(-1, 3) / 1000
+        axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+        return Model(vertices_m, float(info["diameter"]) / 1000, discrete, axes, offsets_m)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy import ndimage, sparse
 from scipy.spatial import cKDTree
 
@@ -14,7 +14,9 @@ Labels = Int[np.ndarray, "height width"]
 
 _STEP_M = 0.012  # neighbours with a larger step in depth are in different clusters
 _FEWEST = 8  # returns of a cluster; fewer are stray ones
-_SPECK = 0.03  # of the largest cluster: smaller ones are stray returns
+_SPECK = 0.03  # of the largest cluster: smaller ones are stray returns, unless
+_CLOSE = 0.13  # their gap, relative to the object's size, is below this: leaves, parts seen through holes. On 50 frames
+# of household tuning objects on a table 79 of 95 such clusters belonged to the object, and 2 of 493 others
 _NEAR = 0.25  # a cluster belongs to the object if its gap, relative to the object's size, is below this,
 _BRIDGED = 0.6  # or below this, with no farther returns within the gap: a finger or a shadow cuts the object
 _STEP = 0.4  # or below this, where they are neighbours in the image and the nearer one hides what connects them
@@ -59,20 +61,32 @@ def object_clusters(image: DepthImage, part: Mask, trusted: bool = False) -> Obj
     sizes = np.bincount(labels.ravel())
     sizes[0] = 0
     own = joined = [int(np.argmax(sizes))]
-    rest = [i for i in np.argsort(-sizes) if i != own[0] and sizes[i] >= max(_FEWEST, _SPECK * sizes.max())]
+    least = max(_FEWEST, _SPECK * sizes.max())
+    rest = [i for i in np.argsort(-sizes) if i != own[0] and sizes[i] >= least]
     while joined and rest:  # a part may be near another part only
         mask = np.isin(labels, own)
         gap = _Gap(image, mask)
         joined = [i for i in rest if gap.is_small(labels == i)]
         own = own + joined
         rest = [i for i in rest if i not in joined]
-    mask = np.isin(labels, own)
+    mask = _with_specks(image, np.isin(labels, own), labels, (sizes >= _FEWEST) & (sizes < least))
     if trusted and rest:
         gap = _Gap(image, mask)
-        own = own + [i for i in rest if gap.relative(labels == i) < 1]
-        return ObjectClusters(np.isin(labels, own), None)
+        others = [i for i in rest if gap.distances(labels == i).min() < 1]
+        return ObjectClusters(mask | np.isin(labels, others), None)
     similar = [i for i in rest if sizes[i] >= _SIMILAR * np.count_nonzero(mask)]
     return ObjectClusters(mask, labels == similar[0] if similar else None)
+
+
+def _with_specks(image: DepthImage, mask: Mask, labels: Labels, is_speck: Bool[np.ndarray, " labels"]) -> Mask:
+    """The object with the small clusters that are close to it."""
+    specks, numbers = is_speck[labels], np.flatnonzero(is_speck)
+    if not numbers.size:
+        return mask
+    gap = _Gap(image, mask)
+    close = np.zeros(len(is_speck), bool)
+    close[numbers] = ndimage.minimum(gap.distances(specks), labels[specks], numbers) < _CLOSE
+    return np.asarray(mask | close[labels])
 
 
 def size_m(points_m: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
@@ -95,9 +109,9 @@ class _Gap:
         self._size_m = float(size_m(points_m)[0])
         self._pitch_m = float(np.median(points_m[:, 2])) / image.camera.fx
 
-    def relative(self, cluster: Mask) -> float:
-        """The gap between a cluster and the object, relative to the object's size."""
-        return float(self._tree.query(_points(self._image, cluster))[0].min()) / self._size_m
+    def distances(self, cluster: Mask) -> Float[np.ndarray, " n"]:
+        """Of each return of a cluster from the object, relative to the object's size."""
+        return np.asarray(self._tree.query(_points(self._image, cluster))[0] / self._size_m)
 
     def is_small(self, cluster: Mask) -> bool:
         """Whether a cluster belongs to the object."""

@@ -45,7 +45,8 @@ _SCALES: dict[str, Callable[[float], float]] = {
     "depthscalemm": lambda x: x / 1000,
     **dict.fromkeys(("factordepth", "depthfactor"), lambda x: 1 / x),
 }
-_UNITS_PER_M, _MM, _M = (100.0, 1e5), (0.01, 10.0), (1e-6, 0.005)
+_SAME = 1e-3  # relative difference of two statements of one scale
+_RANGES = ((1e-6, 0.005, 1.0, 1.0), (0.01, 10.0, 0.001, 1.0), (100.0, 1e5, 1.0, -1.0))  # from, to, factor, power
 
 
 def bare(name: object) -> str:
@@ -111,21 +112,26 @@ def depth_scale_m(fields: Fields) -> float | None:
     """Metres per unit of integer depth, None where it is not stated.
 
     ``depth_scale`` has three meanings, which differ by powers of ten: metres per unit (RealSense, 0.001), millimetres
-    per unit (BOP, 0.1 to 1) and units per metre (Open3D, TUM, 1000 to 10000). Raises ReorientError for any other value.
+    per unit (BOP, 0.1 to 1), units per metre (Open3D, TUM, 1000 to 10000). Raises ReorientError for others or two.
     """
-    for name, metres in _SCALES.items():
-        if (value := _first(fields, (name,))) is not None:
-            return metres(_positive(name, value))
-    value = _first(fields, ("depthscale",))
-    if value is None:
-        return None
-    scale = _positive("depth_scale", value)
-    if _M[0] <= scale <= _M[1]:
-        return scale
-    if _MM[0] <= scale <= _MM[1]:
-        return scale / 1000
-    if _UNITS_PER_M[0] <= scale <= _UNITS_PER_M[1]:
-        return 1 / scale
+    stated = {
+        name: metres(_positive(name, value))
+        for name, metres in _SCALES.items()
+        if (value := _first(fields, (name,))) is not None
+    }
+    if (value := _first(fields, ("depthscale",))) is not None:
+        stated["depth_scale"] = _scale_m(_positive("depth_scale", value))
+    if stated and max(stated.values()) > (1 + _SAME) * min(stated.values()):
+        words = " and ".join(f"{name} ({scale_m:g} m)" for name, scale_m in stated.items())
+        raise ReorientError(f"{words} contradict each other: expected one depth scale; remove the wrong one")
+    return next(iter(stated.values()), None)
+
+
+def _scale_m(scale: float) -> float:
+    """Metres per unit by the size of ``depth_scale``."""
+    for low, high, factor, power in _RANGES:
+        if low <= scale <= high:
+            return float(factor * scale**power)
     raise ReorientError(
         f"depth_scale {scale:g}: expected metres per unit (0.001), millimetres per unit (1) or units per metre (1000); "
         "remove it and give the scale as metres per unit (--depth-scale)"

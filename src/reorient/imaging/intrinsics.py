@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from reorient.errors import ReorientError
-from reorient.imaging.camera import Camera
+from reorient.imaging.camera import FOCAL_PX, Camera
 from reorient.imaging.documents import existing, read_document
 from reorient.imaging.intrinsic_fields import Fields, Intrinsics, bare, distortion_of, has_focal_length, intrinsics_of
 from reorient.runs.files import replacing
@@ -17,6 +17,7 @@ from reorient.runs.files import replacing
 _DEEPEST = 6  # levels at which a camera is looked for
 _ASPECT = 0.01  # largest relative difference of the two scales of an image that was resized as a whole
 _CENTRAL = 0.2  # shares of the width and height within which the principal point of an image that is no crop lies
+_LEAST_FOCAL = 3.0  # px; in units of the image's width or height they are below
 _NOTES = logging.getLogger(__name__)
 _EXPECTED = (
     "expected fx, fy, cx, cy or a 3 x 3 matrix K, as of reorient, OpenCV, ROS, RealSense, Open3D, BOP, Azure Kinect, "
@@ -115,10 +116,15 @@ def intrinsics_from(
 def fitted(intrinsics: Intrinsics, size: tuple[int, int], source: str, image: str) -> Intrinsics:
     """The intrinsics for an image of this (width, height), scaled where the file is for another resolution.
 
-    Logs a note where they are scaled. Raises ReorientError for another aspect ratio, and for a principal point beyond
-    the image, where the file states no size.
+    Logs a note where they are scaled. Raises ReorientError for another aspect ratio, for a principal point beyond the
+    image, where the file states no size, and for focal lengths that are no pixels.
     """
     width, height = size
+    if FOCAL_PX[0] <= min(intrinsics.fx, intrinsics.fy) < _LEAST_FOCAL:
+        raise ReorientError(
+            f"camera file {source!r} has focal lengths ({intrinsics.fx:g}, {intrinsics.fy:g}): expected pixels; "
+            "multiply normalised intrinsics by the width and the height of the image"
+        )
     if intrinsics.width is None or intrinsics.height is None:
         if not (0 < intrinsics.cx < width and 0 < intrinsics.cy < height):
             raise ReorientError(

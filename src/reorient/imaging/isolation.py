@@ -63,6 +63,15 @@ class Isolation:
             raise ReorientError("a sphere needs its centre and its radius: expected around_m and radius_m, or neither")
         if self.around_m is not None:
             object.__setattr__(self, "around_m", _checked_point(self.around_m))
+        self._check_types()
+
+    def _check_types(self) -> None:
+        """Raise ReorientError for fields of another type, as of a file: "no" would count as true."""
+        for name in ("remove_plane", "allow_touching"):
+            if not isinstance(getattr(self, name), bool | np.bool_):
+                raise ReorientError(f"{name}={getattr(self, name)!r}: expected true or false")
+        if not isinstance(self.background, DepthImage | str | Path | None):
+            raise ReorientError(f"background={self.background!r}: expected a DepthImage or the name of its file")
 
     def __call__(self, image: DepthImage, mask: Shaped[np.ndarray, "height width"] | None = None) -> DepthImage:
         """The image of the object alone.
@@ -79,7 +88,7 @@ class Isolation:
         inside = np.ones(image.valid.shape, bool) if mask is None else _checked_mask(mask, image)
         part = self._part(image, inside)
         planes = continuing_planes(image, part & inside)
-        kept = self._without_surfaces(image, part & inside, planes)
+        kept, doubtful = self._without_surfaces(image, part & inside, planes)
         found = object_clusters(image, kept, trusted=mask is not None)
         if self.allow_touching:
             object_mask = found.mask if found.other is None else found.mask | found.other
@@ -87,22 +96,26 @@ class Isolation:
             object_mask = found.mask
             refuse_second_object(image, found)
             refuse_continuing(image, object_mask, part, planes, trusted=mask is not None)
-        unknown = unknown_beside(image, object_mask, kept, None if mask is None else inside)
+        unknown = unknown_beside(image, object_mask, kept, doubtful, None if mask is None else inside)
         isolated = replace(image, depth_m=np.where(object_mask, image.depth_m, np.float32(0)), unknown=unknown)
         return require_isolated(isolated)
 
-    def _without_surfaces(self, image: DepthImage, part: Mask, planes: Sequence[Plane]) -> Mask:
-        """The returns of a part of the frame without planes and the empty scene. Raises ReorientError for none."""
-        kept = np.asarray(part & image.valid)
-        if self.remove_plane:
-            for plane in planes:
-                if plane.is_wide:
-                    kept &= above(image, part, plane)
-            _require(kept, "no returns are left beside the removed planes: expected an object at least 5 mm high")
+    def _without_surfaces(self, image: DepthImage, part: Mask, planes: Sequence[Plane]) -> tuple[Mask, Mask]:
+        """The returns of a part of the frame without planes and the empty scene, and the doubtful ones of the removed.
+
+        Raises ReorientError where none are left.
+        """
+        kept, doubtful = np.asarray(part & image.valid), np.zeros_like(part)
+        for plane in planes if self.remove_plane else ():
+            if plane.is_wide:
+                off, perhaps = above(image, part, plane)
+                kept, doubtful = kept & off, doubtful | perhaps
+        _require(kept, "no returns are left beside the removed planes: expected an object at least 5 mm high")
         if self.background is not None:
-            kept &= _changed(image, self._empty_frame(image), part)
+            off, perhaps = _changed(image, self._empty_frame(image), part)
+            kept, doubtful = kept & off, doubtful | perhaps
             _require(kept, "no returns differ from the background: expected an object that the empty frame lacks")
-        return kept
+        return kept, doubtful & ~kept
 
     def _part(self, image: DepthImage, inside: Mask) -> Mask:
         """The pixels inside the box, the depth range and the sphere; those without return satisfy the latter two.
@@ -151,14 +164,15 @@ def isolate(image: DepthImage, mask: Shaped[np.ndarray, "height width"] | None =
     return Isolation(**fields)(image, mask)
 
 
-def _changed(image: DepthImage, empty: DepthImage, part: Mask) -> Mask:
-    """The returns nearer than those of the empty frame by more than its noise, or where that frame has none."""
+def _changed(image: DepthImage, empty: DepthImage, part: Mask) -> tuple[Mask, Mask]:
+    """The returns nearer than those of the empty frame by more than its noise, or where that frame has none; and the
+    doubtful ones."""
     nearer_m = empty.depth_m - image.depth_m
     both = image.valid & empty.valid
     unchanged_m = np.abs(nearer_m[both & part & (np.abs(nearer_m) < _CHANGED_M)])
     noise_m = float(np.median(unchanged_m)) / 0.6745 if unchanged_m.size else 0.0
-    nearer = off_surface(nearer_m, both, part, noise_m) & (nearer_m > 0)
-    return np.asarray(nearer | (image.valid & ~empty.valid))
+    off, doubtful = off_surface(nearer_m, both, part, noise_m)
+    return (off & (nearer_m > 0)) | (image.valid & ~empty.valid), doubtful & (nearer_m > 0)
 
 
 def _require(kept: Mask, message: str) -> None:
@@ -167,7 +181,7 @@ def _require(kept: Mask, message: str) -> None:
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, int | float | np.number) and isfinite(value)
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool) and isfinite(value)
 
 
 def _checked_point(point_m: Any) -> tuple[float, float, float]:

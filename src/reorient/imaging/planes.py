@@ -17,6 +17,7 @@ _MOST, _LEAST = 6, 0.03  # planes sought one after another; share of the returns
 _RIM_PX = 3  # width of the rim along which a plane must continue
 _RIM_SHARE = 0.03  # of the rim along which a plane must continue
 _WIDE = 0.2  # of the rim: a table around an object has nearly all of it, a wall a side, other parts less
+_SQUARE = np.ones((3, 3), bool)
 _MEDIAN_PX, _MEAN_PX = 5, 9  # windows of densities and of mean heights
 _LOWEST_M, _HIGHEST_M = 0.001, 0.004  # range of the smoothed height below which a return belongs to a plane
 _SINGLE = 6.0  # distance of a return that needs no neighbours, over the noise
@@ -26,6 +27,8 @@ _CERTAIN = 5.0  # mean height of a return that is certainly off a plane, over th
 # cut out with 40 px around; among weights 1-3, largest heights 4-12, thresholds 1.3-2.2. 1.6 itself was not measured
 _WEIGHT, _STEPS, _CLIP = 1.0, 40, 6.0
 _ABOVE_NOISE = 1.6
+_DOUBTFUL = 0.5  # of that threshold: a return above, next to one that is off, may be off as well. On 14 such frames it
+# holds 60% (median) of the returns of the object that are removed with the table
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +82,8 @@ def continuing_planes(image: DepthImage, part: Mask) -> list[Plane]:
     return found
 
 
-def above(image: DepthImage, part: Mask, plane: Plane) -> Mask:
-    """The returns of a part of a frame that do not belong to a plane that continues beyond it.
+def above(image: DepthImage, part: Mask, plane: Plane) -> tuple[Mask, Mask]:
+    """The returns of a part of a frame that do not belong to a plane that continues beyond it, and the doubtful ones.
 
     Smoothed heights separate objects 5 mm high from a plane with depth noise of 2 mm.
     """
@@ -88,16 +91,20 @@ def above(image: DepthImage, part: Mask, plane: Plane) -> Mask:
     return off_surface(heights_m, image.valid, part, plane.noise_m)
 
 
-def off_surface(heights_m: Float[np.ndarray, "height width"], valid: Mask, part: Mask, noise_m: float) -> Mask:
-    """The returns of a part of a frame that are off a surface, given each one's distance from it and the noise.
+def off_surface(
+    heights_m: Float[np.ndarray, "height width"], valid: Mask, part: Mask, noise_m: float
+) -> tuple[Mask, Mask]:
+    """The returns of a part of a frame that are off a surface, given each one's distance from it and the noise; and the
+    doubtful ones.
 
     Heights without noise are found by total variation (Rudin, Osher and Fatemi 1992), which keeps the outlines: their
     returns off the surface by more than a threshold are the segmentation with the least sum of outline and misfit
     (Chambolle 2004). Of these belong the ones that are connected to certain ones: those with a mean over 9 x 9 pixels
     that is off by five times its noise, and thin parts, off by six times the noise themselves. So the noise of a large
-    surface leaves nothing, and the foot of an object and low parts beside high ones stay.
+    surface leaves nothing, and the foot of an object and low parts beside high ones stay. Doubtful are those
+    nearly as far off that are connected to these: the lowest part of a foot.
     """
-    result = np.zeros_like(part)
+    result, doubtful = np.zeros_like(part), np.zeros_like(part)
     near = window(part, 2 * _MEAN_PX)
     heights_m, seen = heights_m[near].astype(np.float32), valid[near]
     nearest = ndimage.distance_transform_edt(~seen, return_distances=False, return_indices=True)
@@ -108,17 +115,19 @@ def off_surface(heights_m: Float[np.ndarray, "height width"], valid: Mask, part:
     single = seen & (np.abs(heights_m) > max(_SINGLE * noise_m, limit_m))
     certain = single | (seen & (np.abs(mean_m) > _limit(mean_m, on, _CERTAIN)))
     if not certain.any():
-        return result
+        return result, doubtful
     around = window(certain, longer_side(window(certain)) // 4 + 2 * _MEAN_PX)
     scale_m = limit_m / _ABOVE_NOISE
     smooth = _denoised(np.clip(heights_m[around] / scale_m, -_CLIP, _CLIP))
-    off = np.abs(smooth) > _ABOVE_NOISE
-    off |= single[around]
-    off = ndimage.binary_propagation(certain[around] & off, np.ones((3, 3)), mask=off)
-    kept = np.zeros_like(seen)
-    kept[around] = off
-    result[near] = kept & seen & part[near]
-    return result
+    off = (np.abs(smooth) > _ABOVE_NOISE) | single[around]
+    off = ndimage.binary_propagation(certain[around] & off, _SQUARE, mask=off)
+    perhaps = off | (np.abs(smooth) > _DOUBTFUL * _ABOVE_NOISE)
+    perhaps = ndimage.binary_propagation(off, _SQUARE, mask=perhaps) & ~off
+    for found, within in ((result, off), (doubtful, perhaps)):
+        mask = np.zeros_like(seen)
+        mask[around] = within
+        found[near] = mask & seen & part[near]
+    return result, doubtful
 
 
 def _denoised(values: Float[np.ndarray, "height width"]) -> Float[np.ndarray, "height width"]:

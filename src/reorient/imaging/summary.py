@@ -10,6 +10,7 @@ from reorient.imaging.depth_image import DepthImage
 from reorient.imaging.goal import Goal
 
 _LARGEST_RATIO = 1.5  # of the sizes in current and goal image
+_LARGE_MM = 1000.0  # no gripper holds a larger object: the scale of the depth is wrong more likely
 _WRONG_SCALE = 2.0  # of the sizes of the object now and a goal of several views: no view of one object differs by more
 _UNITS = {10.0: ("mm", "cm"), 25.4: ("mm", "in"), 1000.0: ("mm", "m"), 2.54: ("cm", "in"), 39.37: ("in", "m")}
 _UNIT_RATIO = 1.4  # of a ratio of sizes, which depends on the view, to that of two units
@@ -55,6 +56,11 @@ def pair_warnings(current: Summary, goal: Summary) -> list[str]:
         warnings.append(
             f"the object measures {sizes_mm[0]:.0f} mm in the current image and {sizes_mm[1]:.0f} mm in the goal "
             "image: is it the same object, and isolated completely? (--show-input)"
+        )
+    if min(sizes_mm) > _LARGE_MM:
+        warnings.append(
+            f"the object measures {sizes_mm[0] / 1000:.1f} m at {current.distance_m:.1f} m: is the depth scale right? "
+            "(--depth-scale; the translation depends on it, the rotation does not)"
         )
     return warnings
 

@@ -14,10 +14,13 @@ _BESIDE_PX = 2  # pixels without return within this distance of the object are n
 _SQUARE = np.ones((3, 3), bool)
 
 
-def unknown_beside(image: DepthImage, mask: Mask, candidates: Mask, inside: Mask | None = None) -> Mask:
+def unknown_beside(
+    image: DepthImage, mask: Mask, candidates: Mask, doubtful: Mask | None = None, inside: Mask | None = None
+) -> Mask:
     """The unknown pixels of a frame of which ``mask`` shows the object.
 
     ``candidates``: returns of which the mask is a part; others of them next to the object are unknown (flying pixels).
+    ``doubtful``: removed returns that may belong to the object; they are unknown where they are connected to it.
     ``inside``: the pixels of the object by the user's own mask; without return they are unknown. Connected pixels
     without return that touch the object are unknown unless they reach the end of the frame and are more than the
     object: background out of range. Where a frame has unknown pixels and others without depth, the unknown ones stay.
@@ -26,6 +29,8 @@ def unknown_beside(image: DepthImage, mask: Mask, candidates: Mask, inside: Mask
     lost = image.unknown if empty.any() and image.unknown.any() else np.zeros_like(mask)
     beside = ndimage.binary_dilation(mask, _SQUARE, _BESIDE_PX) & ~mask
     unknown = lost | (candidates & beside) | _lost_beside(~image.valid, mask, beside) | _before(image, mask)
+    if doubtful is not None:
+        unknown |= ndimage.binary_propagation(doubtful & beside, _SQUARE, mask=doubtful)
     if inside is not None:
         unknown |= inside & ~image.valid
     return np.asarray(unknown)

@@ -1,7 +1,8 @@
 """Check of a robot cell: small known motions, compared with those that the camera sees, and mistakes named in words."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -30,7 +31,7 @@ _TRIMMED = 0.8  # share of the residuals, the smallest, by which a cell is right
 _EXPLAINED_BELOW = 0.6  # mean squared residual of a mistake that explains the images, over that of the stated cell
 _LARGEST_FLANGE_M = 0.08  # distance from the calibrated place: right cells have up to 73 mm, a flange 100 mm and more
 _LEAST_STRETCH = 0.04  # of wrong intrinsics: right cells have up to 0.012 (30 tuning objects)
-_POOR_DEG, _POOR_M = 2.5, 0.002  # errors (RMS) that no mistake explains, of objects whose rotations are hard to see
+_POOR_DEG, _POOR_M = 2.5, 0.002  # errors (medians) that no mistake explains, of objects whose rotations are hard to see
 _BETTER = "check with another object too"
 _MOVED_DEG, _MOVED_M = 45.0, 0.3  # a camera that moved farther would not see the object
 _LARGEST_TOOL_M = 1.5  # no tool holds an object farther from its origin
@@ -137,7 +138,7 @@ def diagnose(views: Sequence[View], calibration: RobotCalibration, estimator: Es
     motions = [motion_between(views, i, j, estimator) for i, j in pairs]
     evidence = _Evidence.of(motions, calibration.p_tool_object_m, _center_m(views[0]))
     stated = Cell(calibration.T_base_camera, tuple(view.T_base_tool for view in views), np.eye(3))
-    errors = rotation_deg, position_m = evidence.errors(stated)
+    errors = evidence.errors(stated)
     terms = np.sort(evidence.terms(stated))
     if np.mean(terms[: int(_TRIMMED * len(terms))] ** 2) < _RIGHT_BELOW:
         return _small_mistake(evidence, stated)
@@ -145,12 +146,13 @@ def diagnose(views: Sequence[View], calibration: RobotCalibration, estimator: Es
     costs = [evidence.cost(each.cell) + each.penalty for each in tried]
     best = tried[int(np.argmin(costs))]
     if min(costs) > _EXPLAINED_BELOW * costs[0] or not best.name:
+        rotation_deg, position_m = evidence.errors(stated, np.median)  # some estimates may be wrong by any angle
         if rotation_deg < _POOR_DEG and position_m < _POOR_M:
             return Check("", f"no mistake found, with a poor estimate of this object's rotations: {_BETTER}", *errors)
         best = Mistake(
             "unknown",
             f"the object does not move as the arm states (rotations {rotation_deg:.1f} deg and displacements "
-            f"{1000 * position_m:.1f} mm off, RMS), and no known mistake explains it; {_BETTER}",
+            f"{1000 * position_m:.1f} mm off, medians), and no known mistake explains it; {_BETTER}",
             stated,
         )
     return Check(best.name, best.message, *errors)
@@ -211,10 +213,10 @@ class _Evidence:
         place = min(float(np.linalg.norm(self.place_m(cell))) / _PLACE_M, _MOST)
         return float(np.mean(np.minimum(self.terms(cell), _MOST) ** 2) + max(place - 2, 0) ** 2 / 4)
 
-    def errors(self, cell: Cell) -> tuple[float, float]:
-        """RMS of the residuals: degrees and metres."""
-        rms = [float(np.sqrt(np.mean(np.sum(x**2, axis=1)))) for x in self.residuals(cell)]
-        return float(np.degrees(rms[0])), rms[1]
+    def errors(self, cell: Cell, average: Callable[[Any], Any] = np.mean) -> tuple[float, float]:
+        """RMS of the residuals, or the root of another average of their squares: degrees and metres."""
+        rotation_rad, position_m = (float(np.sqrt(average(np.sum(x**2, axis=1)))) for x in self.residuals(cell))
+        return float(np.degrees(rotation_rad)), position_m
 
 
 def _center_m(view: View) -> Float[np.ndarray, "3"]:

@@ -21,8 +21,8 @@ class RobotStation:
     """The station protocol from drivers: converts between camera and base axes, and rotates about the held object.
 
     A rotation is made in steps about the object's place in tool axes, so that it stays where it is; all of its poses
-    are checked before the first move. The reported rotation is the measured one, from the pose at the last frame to
-    the pose after the move. Frames from before the end of a move are refused.
+    are checked before the first move. The reported rotation is the measured one, from the pose at the last frame, or
+    at the end of the last move after it, to the pose after the move. Frames from before the end of a move are refused.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class RobotStation:
         self.calibration = calibration
         self._frames = FreshFrames(camera)
         self._isolate = isolate
-        self._pose: Transform | None = None  # at the last frame
+        self._pose: Transform | None = None  # at the last frame, or at the end of the last move after it
 
     @property
     def pivot_m(self) -> Float[np.ndarray, "3"]:
@@ -68,7 +68,7 @@ class RobotStation:
         return around_pivot(self._isolate, self.calibration.pivot_m(self._pose))(image)
 
     def rotate(self, R_step: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-        """Rotate the object (camera axes, left); the rotation that the arm measured since the last frame.
+        """Rotate the object (camera axes, left); the rotation that the arm measured since the last frame or move.
 
         Raises StationError where R_step is no rotation, where it is not reachable, and where the arm failed.
         """
@@ -84,12 +84,10 @@ class RobotStation:
                 after = self.arm.move_to(pose)
         finally:
             self._frames.moved()
-        R_base = after[:3, :3] @ (before if self._pose is None else self._pose)[:3, :3].T
-        R_base_camera = self.calibration.T_base_camera[:3, :3]
-        return np.asarray(R_base_camera.T @ R_base @ R_base_camera)
+        return self._since(before, after)[:3, :3]
 
     def move(self, T_step: Transform) -> Transform:
-        """Move the object in a straight line (camera axes, left); the motion since the last frame, by the arm.
+        """Move the object in a straight line (camera axes, left); the motion since the last frame or move, by the arm.
 
         Raises StationError where T_step is no rigid transform, rotates by more than one step of ``rotate``, is not
         reachable, and where the arm failed.
@@ -108,7 +106,13 @@ class RobotStation:
             after = self.arm.move_to(target)
         finally:
             self._frames.moved()
+        return self._since(before, after)
+
+    def _since(self, before: Transform, after: Transform) -> Transform:
+        """The motion of the object (camera axes) since the last frame or move; a move from ``before`` ended."""
+        T_base_camera = self.calibration.T_base_camera
         T_base = after @ se3.inverse(before if self._pose is None else self._pose)
+        self._pose = after
         return np.asarray(se3.inverse(T_base_camera) @ T_base @ T_base_camera)
 
     def reachable(self, R_step: Float[np.ndarray, "3 3"]) -> bool:

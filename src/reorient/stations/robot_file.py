@@ -151,6 +151,10 @@ def _made(kind: type[Any], table: Mapping[str, Any], name: str, path: Path) -> A
     values: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in table.items()}
     if isinstance(values.get("background"), str):
         values["background"] = path.parent / values["background"]
+        if not values["background"].is_file():
+            raise ReorientError(
+                f"{source}: no file {str(values['background'])!r}: expected the frame without the object"
+            )
     if "radius_m" in values and "around_m" not in values:
         raise ReorientError(
             f"{source} has a radius_m without around_m: expected the object's rough place in camera axes, metres, with "

@@ -1,8 +1,7 @@
 """ABB robots by Externally Guided Motion (abb-robot-client)."""
 
-import time
 from dataclasses import dataclass
-from threading import Event, Lock, Thread
+from threading import Event, Thread
 from typing import Any
 
 import numpy as np
@@ -11,11 +10,11 @@ from reorient import se3, so3
 from reorient.errors import StationError
 from reorient.plugins import import_extra
 from reorient.se3 import Transform
-from reorient.stations.arms.supervised import StraightPath, SupervisedArm
+from reorient.stations.arms.streamed import StreamedArm
 
 
 @dataclass(kw_only=True, eq=False)
-class AbbArm(SupervisedArm):
+class AbbArm(StreamedArm):
     """An ABB arm that runs EGM in pose mode; docs/drivers.md has the RAPID program.
 
     The tool is that of ``EGMActPose``, the base its work object (``wobj0``: the base of the world). The controller
@@ -36,43 +35,12 @@ class AbbArm(SupervisedArm):
             raise StationError(
                 f"cannot open UDP port {self.port} ({error.strerror}): expected no other program that controls the arm"
             ) from error
-        self._lock = Lock()
-        self._state: tuple[Transform, Any, float] | None = None
-        """The measured pose, the controller's message, and the time of its arrival."""
         self._hold: Transform | None = None
-        self._path: StraightPath | None = None
-        self._start_s = 0.0
+        """The pose that was answered last."""
         self._closed = Event()
         self._thread = Thread(target=self._answer, daemon=True)
         self._thread.start()
-        try:
-            self._await_controller()
-        except BaseException:
-            self.close()
-            raise
-
-    def pose(self) -> Transform:
-        """The measured pose of the tool, T_base_tool. Raises StationError as the class describes."""
-        with self._lock:
-            state = self._state
-        if state is None or time.monotonic() - state[2] > self.silent_s:
-            raise StationError(f"connection to the controller lost: no message at UDP port {self.port}")
-        T, message, _ = state
-        if not (message.motors_on and message.rapid_running):
-            raise StationError(
-                f"the controller stopped the arm: motors {'on' if message.motors_on else 'off'}, RAPID "
-                f"{'running' if message.rapid_running else 'stopped'}"
-            )
-        mci = message.robot_message.mciState
-        if mci.state != mci.MCI_RUNNING:
-            raise StationError("the controller is not guided by EGM: expected a RAPID program in EGMRunPose")
-        return T
-
-    def stop(self) -> None:
-        """Stay at the commanded pose of this moment."""
-        with self._lock:
-            if self._path is not None:
-                self._hold, self._path = self._path.at(time.monotonic() - self._start_s), None
+        self._await_controller()
 
     def close(self) -> None:
         """Send no more answers, and free the port."""
@@ -80,26 +48,20 @@ class AbbArm(SupervisedArm):
         self._thread.join()
         self._egm.close()
 
-    def _await_controller(self) -> None:
-        deadline_s = time.monotonic() + self.timeout_s
-        while self._state is None:
-            if time.monotonic() > deadline_s:
-                raise StationError(
-                    f"no message at UDP port {self.port} within {self.timeout_s:g} s: expected a controller that runs "
-                    "EGMRunPose and sends to this computer"
-                )
-            time.sleep(0.01)
-        self.pose()
+    def _silence(self) -> str:
+        return (
+            f"no message at UDP port {self.port} within {self.silent_s:g} s, expected a controller that runs "
+            "EGMRunPose and sends to this computer"
+        )
 
-    def _begin(self, path: StraightPath) -> None:
-        with self._lock:
-            self._path, self._start_s = path, time.monotonic()
-
-    def _executing(self) -> bool:
-        with self._lock:
-            if self._path is not None and time.monotonic() - self._start_s > self._path.duration_s:
-                self._hold, self._path = self._path.T_end, None
-            return self._path is not None
+    def _check(self, message: Any) -> None:
+        if not (message.motors_on and message.rapid_running):
+            raise StationError(
+                f"the controller stopped the arm: motors {'on' if message.motors_on else 'off'}, RAPID "
+                f"{'running' if message.rapid_running else 'stopped'}"
+            )
+        if not _is_guided(message):
+            raise StationError("the controller is not guided by EGM: expected a RAPID program in EGMRunPose")
 
     def _answer(self) -> None:
         """Read the controller's messages, and answer each with the pose to go to."""
@@ -111,16 +73,20 @@ class AbbArm(SupervisedArm):
                 self._egm.send_to_robot_cart(*to_egm(self._next(message)))
 
     def _next(self, message: Any) -> Transform:
-        """Keep the controller's state; the pose to answer."""
-        T, now_s = from_egm(*message.cartesian), time.monotonic()
+        """Keep the controller's state; the pose to answer: of the path, else the last one, at which the arm stays."""
+        T = from_egm(*message.cartesian)
         with self._lock:
-            guided = message.robot_message.mciState.state == message.robot_message.mciState.MCI_RUNNING
-            if self._state is None or now_s - self._state[2] > self.silent_s or not guided:
+            if self._hold is None or self._is_silent() or not _is_guided(message):
                 self._hold, self._path = T, None  # it starts anew: an old pose would make it jump
-            self._state = (T, message, now_s)
-            if self._path is not None:
-                return self._path.at(now_s - self._start_s)
-            return T if self._hold is None else self._hold
+            self._received(T, message)
+            due = self._due()
+            self._hold = self._hold if due is None else due
+            return self._hold
+
+
+def _is_guided(message: Any) -> bool:
+    state = message.robot_message.mciState
+    return bool(state.state == state.MCI_RUNNING)
 
 
 def from_egm(position_mm: np.ndarray, quat_wxyz: np.ndarray) -> Transform:

@@ -97,8 +97,9 @@ class FrankaArm(SupervisedArm):
         self._asked(lambda: self._robot.move(motion, asynchronous=True))
 
     def _executing(self) -> bool:
+        executing = bool(self._robot.is_in_control)  # first: the motion may end between the two calls
         self._asked(self._robot.poll_motion)  # raises what ended the motion
-        return bool(self._robot.is_in_control)
+        return executing
 
     def _asked(self, call: Any) -> Any:
         """The result of a call of franky. Its errors become StationError."""

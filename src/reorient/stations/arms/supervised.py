@@ -134,7 +134,8 @@ class SupervisedArm(ABC):
             time.sleep(POLL_S)
             T, now_s = self.pose(), time.monotonic()
             self._check_jump(T_last, T, now_s - last_s)
-            T_last, last_s = T, now_s
+            if not np.array_equal(T, T_last):  # exactly the same pose is the same state, while a network pauses
+                T_last, last_s = T, now_s
             distance_m, angle_deg = apart(T_rest, T)
             if distance_m > REST_M or angle_deg > REST_DEG:
                 T_rest, rest_since_s = T, now_s
