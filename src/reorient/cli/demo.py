@@ -33,7 +33,7 @@ class Demo:
     noise_mm: float = 1.0
     """Standard deviation of the depth noise."""
     estimator: str = "rotation-search"
-    """One of default (rotation-search), rotation-search, fast, thorough, gicp, icp, paper and swift, an .onnx file,
+    """One of default (rotation-search), rotation-search, fast, normal, gicp, icp, paper and swift, an .onnx file,
     or your own module:Class."""
     seed: int = 0
     """Seed of the poses and the noise."""

@@ -78,6 +78,7 @@ GROUPS = {
         "export": Verb("learning:Export", "Convert trained weights to ONNX, which the estimators read."),
         "verifier make": Verb("verifier:Make", "Generate hypotheses of known error to train the verifier on."),
         "verifier train": Verb("verifier:Train", "Train the verifier on generated hypotheses."),
+        "verifier calibrate": Verb("verifier:Calibrate", "Calibrate confidence sets and covariances."),
     },
 }
 VERBS = {name: verb for group in GROUPS.values() for name, verb in group.items()}

@@ -6,7 +6,9 @@ mean and largest, go through boosted trees of their own, trained on problems of 
 its card is ``verifier-views.md``). With one goal view the mean of the log-odds is enough.
 """
 
+import hashlib
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -108,3 +110,12 @@ def _of_set(hypotheses: Hypotheses, score: Float[np.ndarray, " k"]) -> list[Floa
 def group_of(goal_views: int) -> str:
     """The name of the calibration of so many goal views."""
     return f"{min(goal_views, 6)} goal views"
+
+
+@cache
+def fingerprint(several: bool = False) -> str:
+    """Of all that ``assess`` uses, for one pair of views or for several: what was calibrated with other verifiers does
+    not hold."""
+    found = (load_verifier(), load_verifier(WEIGHTS, VIEWS_FEATURES)) if several else (load_verifier(),)
+    parts = [x.value.tobytes() + repr(sorted(x.calibration.items())).encode() for x in found]
+    return hashlib.sha256(b"".join(parts)).hexdigest()[:16]
