@@ -4,7 +4,7 @@ import ast
 import re
 from collections.abc import Iterator
 
-ERRORS = {"ReorientError", "StationError", "ProtocolError", "StationHangs"}
+ERRORS = {"ReorientError", "StationError", "ProtocolError", "StationHangs", "MissingExtra"}
 
 
 def template(node: ast.expr) -> str:
@@ -28,7 +28,7 @@ def made(node: ast.AST) -> Iterator[str]:
             yield f"{template(name)}=…: expected {template(expected)}"
         case ast.Call(func=ast.Name(id="unknown_name"), args=[kind, *_]):
             yield f"unknown {template(kind)} …: expected one of …"
-        case ast.Call(func=ast.Name(id="_Ended"), args=[_, message, *_]):
+        case ast.Call(func=ast.Name(id="Ended"), args=[_, message, *_]):
             yield template(message)
         case ast.Call(func=ast.Attribute(attr="with_warning"), args=warnings):
             yield from map(template, warnings)
