@@ -18,7 +18,7 @@ from scipy.stats import binomtest
 
 from reorient import load_estimator, so3
 from reorient.cli.arguments import Positional, parse
-from reorient.reporting.trust import CORRECT_DEG
+from reorient.reporting.rows import CORRECT_DEG
 from reorient.runs.files import make_folder, write_table
 from reorient.world.objects import ObjectSource
 from reorient.world.pairs import sample_pair

@@ -315,7 +315,7 @@ def draw_verifier() -> Figure:
     axes[0].set_ylabel(r"log-odds $\ell$ of the trees")
     axes[0].legend(fontsize=7, loc="lower left")
     line, verifier = np.linspace(-8, 8, 161), load_verifier()
-    for effort, colour in (("fast", SILHOUETTE), ("normal", OCCLUDED), ("thorough", INLIER)):
+    for effort, colour in (("fast", SILHOUETTE), ("normal", OCCLUDED)):
         scale, shift = verifier.calibration[effort]
         label = f"{effort}: a = {scale:.2f}, b = {shift:.2f}"
         axes[1].plot(line, verifier.probability(line, effort), color=colour, label=label)
@@ -335,7 +335,7 @@ def draw_polish() -> Figure:
         polished = polish(problem, hypotheses[np.array([best])])
         before.append(error[best])
         after.append(_errors_deg(index, pair, polished.hypothesis)[0])
-        predicted.append(np.degrees(np.sqrt(np.trace(uncertainty(problem, polished.hypothesis)[0]))))
+        predicted.append(np.degrees(np.sqrt(np.trace(uncertainty(problem, polished)[0]))))
     figure, axes = _figure(2, 2.9)
     for axis, x, y in ((axes[0], before, after), (axes[1], predicted, after)):
         axis.plot([0.1, 5], [0.1, 5], color="black", lw=0.8, ls=":")

@@ -29,9 +29,7 @@ def error_deg(estimate, pair):
     return float(np.degrees(so3.angle_difference(estimate.R_goal_current, pair.R_goal_current)))
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] if name == "thorough" else []) for name in GEOMETRIC]
-)
+@pytest.mark.parametrize("name", GEOMETRIC)
 def test_known_rotation(mesh, name):
     # ICP ends in a local minimum now and then: most of ten pairs, and the best of them well
     pairs = [pair_of(mesh, seed) for seed in range(10)]

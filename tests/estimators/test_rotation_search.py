@@ -86,7 +86,7 @@ def test_a_pivot_each_or_none(mesh, workers):
         RotationSearch("fast").estimate_many([(pair.current, pair.goal)] * 3, [None], workers)
 
 
-@pytest.mark.parametrize("effort", ["fast", "normal", "thorough"])
+@pytest.mark.parametrize("effort", [None, "fast", "normal"])
 def test_every_effort_answers_and_has_its_calibration(mesh, effort):
     pair = pair_of(mesh, 2, 50, randomised(0.001))
     estimate = RotationSearch(effort).estimate(pair.current, pair.goal, pair.pivot_m)
@@ -96,8 +96,10 @@ def test_every_effort_answers_and_has_its_calibration(mesh, effort):
 
 
 def test_unknown_effort():
-    with pytest.raises(ReorientError, match="unknown effort 'thorogh': expected one of .*did you mean 'thorough'"):
-        RotationSearch("thorogh")
+    with pytest.raises(ReorientError, match="unknown effort 'norml': expected one of .*did you mean 'normal'"):
+        load_estimator("default", effort="norml")
+    with pytest.raises(ReorientError, match="'gicp' with effort='fast': expected an effort with 'default' alone"):
+        load_estimator("gicp", effort="fast")
 
 
 @pytest.mark.slow
@@ -233,10 +235,10 @@ def test_the_polish_improves_an_answer_and_leaves_one_that_its_steps_worsen(mesh
     pair = pair_of(mesh, 5, 60, randomised(0.001))
     problem, truth = build_problem(pair.current, pair.goal, pair.pivot_m), motion_of(pair)
     slid = Hypotheses(so3.exp(np.array([[0.0, 0.2, 0.0]])) @ truth.R, truth.t_m)
-    polished = polish(problem, Hypotheses(so3.exp(np.array([[0.0, 0.03, 0.0]])) @ truth.R, truth.t_m)).hypothesis
-    assert errors_deg(polished.R[0], pair.R_goal_current) < 1
+    polished = polish(problem, Hypotheses(so3.exp(np.array([[0.0, 0.03, 0.0]])) @ truth.R, truth.t_m))
+    assert errors_deg(polished.hypothesis.R[0], pair.R_goal_current) < 1
     assert uncertainty(problem, polished)[1]
-    assert not uncertainty(problem, slid)[1]
+    assert not uncertainty(problem, Polished(slid, 0))[1]
     monkeypatch.setattr(polish_module, "refine", lambda *_: slid)
     monkeypatch.setattr(polish_module, "register", lambda *_: Polished(slid, 5))
     assert polish(problem, truth).hypothesis is truth

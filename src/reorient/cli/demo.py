@@ -33,7 +33,7 @@ class Demo:
     noise_mm: float = 1.0
     """Standard deviation of the depth noise."""
     estimator: str = "rotation-search"
-    """One of default (rotation-search), rotation-search, fast, thorough, gicp, icp, paper and swift, an .onnx file,
+    """One of default (rotation-search), rotation-search, fast, normal, gicp, icp, paper and swift, an .onnx file,
     or your own module:Class."""
     seed: int = 0
     """Seed of the poses and the noise."""
@@ -50,7 +50,7 @@ class Demo:
         from reorient import so3
         from reorient.controller import Step, orient
         from reorient.estimators import load_estimator
-        from reorient.reporting import write_loop
+        from reorient.reporting.loop import write_loop
 
         make_folder(self.out)
         estimator = load_estimator(self.estimator)

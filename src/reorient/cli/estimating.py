@@ -39,7 +39,7 @@ class Estimate:
     ``reorient goal from-mesh``."""
     frames: Frames = field(default_factory=Frames)
     estimator: str = "rotation-search"
-    """One of default (rotation-search), rotation-search, fast, thorough, gicp, icp, paper and swift, an .onnx file,
+    """One of default (rotation-search), rotation-search, fast, normal, gicp, icp, paper and swift, an .onnx file,
     or your own module:Class."""
     pivot: Annotated[tuple[float, float, float] | None, Metavar(("X", "Y", "Z"))] = None
     """Rotation centre in camera axes, in metres, if known to about 1 cm."""

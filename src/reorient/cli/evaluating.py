@@ -65,7 +65,7 @@ class Evaluate:
         show_progress("pairs", evaluate(self.config, self.out, self.pool))
         rows = read_rows(self.out)
         with replacing(self.out / "table.md") as temporary:
-            temporary.write_text(markdown_table(rows))
+            temporary.write_text(markdown_table(rows), encoding="utf-8")
         print_tables(rows, table_console())
         if failed := [row for row in rows if row["message"]]:
             print(

@@ -111,7 +111,7 @@ class Orient:
     """Isolate the images of the station by the same options, by the first of two values."""
     choice: StationChoice = field(default_factory=StationChoice)
     estimator: str = "rotation-search"
-    """One of default (rotation-search), rotation-search, fast, thorough, gicp, icp, paper and swift, an .onnx file,
+    """One of default (rotation-search), rotation-search, fast, normal, gicp, icp, paper and swift, an .onnx file,
     or your own module:Class."""
     strategy_choice: StrategyChoice = field(default_factory=StrategyChoice)
     translation: bool = False

@@ -79,6 +79,7 @@ GROUPS = {
         "verifier make": Verb("verifier:Make", "Generate hypotheses of known error to train the verifier on."),
         "verifier train": Verb("verifier:Train", "Train the verifier on generated hypotheses."),
         "verifier train-images": Verb("verifier:TrainImages", "Train the verifier on images of unsure hypotheses."),
+        "verifier calibrate": Verb("verifier:Calibrate", "Calibrate confidence sets and covariances."),
     },
 }
 VERBS = {name: verb for group in GROUPS.values() for name, verb in group.items()}

@@ -1,11 +1,12 @@
-"""The verifiers' verbs: make their data, train them."""
+"""The verifiers' verbs: make their data, train them, calibrate what depends on them."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from reorient.cli.arguments import Positional
-from reorient.cli.learning import require
 from reorient.cli.progress import show_progress
+from reorient.extras import require
+from reorient.learning.calibration import CalibrationData
 from reorient.learning.recipes import ImageTraining
 from reorient.learning.verifier_data import VerifierData
 from reorient.runs.pool import Pool
@@ -57,16 +58,13 @@ class Train:
     """Folder of further data, of other objects."""
     fast: Path | None = None
     """Folder of other objects with ``--effort fast``, to calibrate that effort."""
-    thorough: Path | None = None
-    """Folder of other objects with ``--effort thorough``, to calibrate that effort."""
 
     def run(self) -> None:
         """Read, train, write, print."""
-        require("train", "sklearn")
+        require("sklearn")
         from reorient.learning.verifier import read, train
 
-        folders = {"fast": self.fast, "thorough": self.thorough}
-        others = {effort: read(folder) for effort, folder in folders.items() if folder is not None}
+        others = {} if self.fast is None else {"fast": read(self.fast)}
         data = read(self.data) if self.also is None else read(self.data).and_also(read(self.also))
         for name, value in train(data, self.out, others).items():
             print(f"{name}: {value:.4g}")
@@ -109,3 +107,34 @@ class TrainImages:
             print(", ".join(f"{name} {value:.4g}" for name, value in figures.items()))
         for effort, (scale, shift) in finish(training, self.out, others).items():
             print(f"{effort}: scale {scale:.3f}, shift {shift:.3f}")
+
+
+@dataclass(frozen=True)
+class Calibrate:
+    """Calibrate confidence sets and covariances on generated objects.
+
+    The estimates are of `default` on objects that the verifier was not trained on. An interrupted run continues where
+    it stopped. Run it anew after the verifier was trained: sets of another verifier have no guarantee.
+
+    Examples:
+        reorient verifier calibrate out/calibration --count 500 --workers 2
+        reorient verifier calibrate out/calibration --write src/reorient/estimators/calibration.json
+    """
+
+    out: Positional[Path]
+    """Folder for config.json and the rows of all estimates."""
+    config: CalibrationData = field(default_factory=CalibrationData)
+    also: Path | None = None
+    """Folder of further rows, as of several goal views."""
+    write: Path | None = None
+    """File to write (.json); without it the figures are printed alone."""
+    pool: Pool = field(default_factory=Pool)
+
+    def run(self) -> None:
+        """Make the rows that are missing, fit, write, print."""
+        from reorient.learning.calibration import fit, measure, read
+
+        show_progress("objects", measure(self.config, self.out, self.pool))
+        rows = read(self.out) if self.also is None else read(self.out) + read(self.also)
+        for name, value in fit(rows, self.write).items():
+            print(f"{name}: {value:.4g}")

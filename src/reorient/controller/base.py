@@ -82,6 +82,8 @@ class Decision:
     """At the end: the probability that the goal is reached; None where unknown."""
     phase: str = ""
     """The phase that made the decision."""
+    bound_rad: float | None = None
+    """At the end: the remaining angle is at most this in 95% of the cases, if the goal is reached; None if unknown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +100,11 @@ class OrientResult:
     equally, unless the object appears symmetric; None where unknown."""
     errors: tuple[str, ...] = ()
     """Errors that the loop survived, and the last one, in words."""
+    bound_rad: float | None = None
+    """The remaining angle is at most this in 95% of the cases, if the pose is the goal's and no flip of it; None where
+    unknown."""
+    expected_rad: float | None = None
+    """The root mean square of that angle that was expected before the first move; None where unknown."""
     distance_m: float | None = None
     """Distance from the goal's place that ``orient(translation=True)`` left, by the last estimates; else None."""
 

@@ -24,6 +24,7 @@ from reorient.controller.hypotheses import (
     near_viewpoints,
     nearest,
 )
+from reorient.controller.remaining import fused_covariance
 from reorient.controller.symmetry import Flip
 
 
@@ -128,26 +129,41 @@ class Belief:
         R = R_step @ self.viewpoint_now.R_then_start
         return sum(float(so3.angle_difference(R, x.R_hidden_start)) <= x.radius_rad for x in self.hidden)
 
-    def fused(self, hypothesis: Hypothesis) -> tuple[Float[np.ndarray, "3 3"], float]:
-        """The remaining rotation to a hypothesis by the estimates made within ``near_rad`` of it, and its standard
-        error in radians: infinite where there is none, with the spread at least ``spread_rad`` for fewer than three.
+    def error_covariance(self, hypothesis: Hypothesis) -> Float[np.ndarray, "3 3"] | None:
+        """The covariance (rad^2) of the error of ``fused``, by those of the estimates; None where none has one.
 
-        A geometric median, as single estimates may be wrong by degrees; estimates from before larger motions have less
-        weight.
+        What all observations of a pose have in common does not average out.
         """
-        s = self.settings
-        found: list[Float[np.ndarray, "3 3"]] = []
-        since_rad: list[float] = []
+        stated = [x.estimate.covariance_rad2 for x, _, _ in self._near(hypothesis)]
+        known = [x for x in stated if x is not None]
+        return fused_covariance(np.mean(known, axis=0), len(known)) if known else None
+
+    def _near(self, hypothesis: Hypothesis) -> list[tuple[Observation, Float[np.ndarray, "3 3"], float]]:
+        """The observations made within ``near_rad`` of a hypothesis that name it, the latest first, each with the
+        remaining rotation now and the path since."""
+        s, found = self.settings, []
         for viewpoint in reversed(self.viewpoints):
             R_goal_then = hypothesis.R_goal_start @ viewpoint.R_then_start.T
             for observation in reversed(viewpoint.observations):
                 answer, away_rad = nearest(observation.estimate, R_goal_then)
                 if float(so3.angle(answer)) <= s.near_rad and away_rad <= s.same_rad:
-                    found.append(answer @ viewpoint.R_then_start @ self.viewpoint_now.R_then_start.T)
-                    since_rad.append(self.viewpoint_now.path_rad - viewpoint.path_rad)
-        if not found:
+                    R_goal_now = answer @ viewpoint.R_then_start @ self.viewpoint_now.R_then_start.T
+                    found.append((observation, R_goal_now, self.viewpoint_now.path_rad - viewpoint.path_rad))
+        return found
+
+    def fused(self, hypothesis: Hypothesis) -> tuple[Float[np.ndarray, "3 3"], float]:
+        """The remaining rotation to a hypothesis by the estimates made within ``near_rad`` of it, and its standard
+        error in radians by their scatter, without what they have in common: infinite where there is none, with the
+        spread at least ``spread_rad`` for fewer than three.
+
+        A geometric median, as single estimates may be wrong by degrees; estimates from before larger motions have less
+        weight.
+        """
+        s, near = self.settings, self._near(hypothesis)
+        if not near:
             return self.R_goal_now(hypothesis), float("inf")
-        information = 1 / (s.spread_rad**2 + (s.drift * np.array(since_rad)) ** 2)
+        found = [R for _, R, _ in near]
+        information = 1 / (s.spread_rad**2 + (s.drift * np.array([since for _, _, since in near])) ** 2)
         median, spread_rad = _geometric_median(np.stack(found), information, s.spread_rad / 10)
         if len(found) < 3:
             spread_rad = max(spread_rad, s.spread_rad)

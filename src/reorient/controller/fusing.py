@@ -18,6 +18,7 @@ from reorient import so3
 from reorient.controller.arrival import PreparedGoal
 from reorient.controller.base import Decision, Reachable, Status, degrees
 from reorient.controller.belief import Belief
+from reorient.controller.remaining import bound_rad
 from reorient.controller.situation import FusingSettings, Situation
 from reorient.formatting import format_number, format_probability
 from reorient.imaging import DepthImage, Goal, as_goal
@@ -135,12 +136,13 @@ def done(s: Situation) -> Decision:
     estimate = viewpoint.observations[-1].estimate
     parts = [
         f"estimate {degrees(estimate.angle_rad, 2)}, {fused}: {status.replace('_', ' ')}",
+        *([] if fused.bound_rad is None else [f"within {degrees(fused.bound_rad, 2)} of the goal (95%)"]),
         *([] if status == "converged" else [f"confidence {format_probability(confidence)}"]),
         *([] if passed else ["no arrival test passed"]),
         *([f"the shape constrains one axis only to {degrees(weak_axis_rad, 1)}"] if weak_axis_rad else []),
         *([f"another orientation matches equally, {_SYMMETRY[s.symmetry[0]]}"] if s.equals else []),
     ]
-    return Decision("; ".join(parts), status=status, confidence=confidence)
+    return Decision("; ".join(parts), status=status, confidence=confidence, bound_rad=fused.bound_rad)
 
 
 _SYMMETRY = {
@@ -169,8 +171,18 @@ class _Fused:
     R_goal_now: Float[np.ndarray, "3 3"]
     angle_rad: float
     error_rad: float
+    """Standard error by the scatter of the estimates, which more of them lower."""
     settled: bool
-    """Whether it is small, or not clearly above its standard error."""
+    """Whether it is small, or not clearly above that."""
+    covariance_rad2: Float[np.ndarray, "3 3"] | None
+    """Of all its error; None where no estimate has one."""
+
+    @property
+    def bound_rad(self) -> float | None:
+        """The remaining angle is at most this in 95% of the cases, if the hypothesis is the goal; None if unknown."""
+        if self.covariance_rad2 is None:
+            return None
+        return bound_rad(self.covariance_rad2, so3.log(self.R_goal_now))
 
     @classmethod
     def of(cls, s: Situation) -> "_Fused":
@@ -178,7 +190,9 @@ class _Fused:
         R_goal_now, error_rad = s.belief.fused(s.best)
         angle_rad = float(so3.angle(R_goal_now))
         settled = angle_rad <= max(s.settings.tolerance_rad, s.settings.significance * error_rad)
-        return cls(R_goal_now, angle_rad, error_rad, settled)
+        return cls(R_goal_now, angle_rad, error_rad, settled, s.belief.error_covariance(s.best))
 
     def __str__(self) -> str:
-        return f"fused {format_number(float(np.degrees(self.angle_rad)))} +- {degrees(self.error_rad, 2)}"
+        whole = self.covariance_rad2
+        error_rad = self.error_rad if whole is None else float(np.sqrt(np.trace(whole)))
+        return f"fused {format_number(float(np.degrees(self.angle_rad)))} +- {degrees(error_rad, 2)}"

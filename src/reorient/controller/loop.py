@@ -14,10 +14,12 @@ from jaxtyping import Float
 from reorient import so3
 from reorient.controller.algorithm1 import Algorithm1
 from reorient.controller.base import Decision, OrientResult, Status, Step, Strategy, degrees, history_of
+from reorient.controller.ending import Ended, plan, rotation_error
 from reorient.controller.fusing import Fusing
 from reorient.controller.limits import Limits, nearest_reachable
 from reorient.controller.motion import MotionRecord
 from reorient.controller.positioning import Positioning
+from reorient.controller.remaining import expected_error_rad
 from reorient.controller.session import Session, StationHangs
 from reorient.controller.station import Station, missing_members, pivot_of
 from reorient.errors import ReorientError
@@ -80,14 +82,6 @@ def orient(
         loop.session.close()
 
 
-class _Ended(Exception):
-    """The loop is over."""
-
-    def __init__(self, status: Status, reason: str, confidence: float | None = None) -> None:
-        super().__init__(reason)
-        self.status, self.reason, self.confidence = status, reason, confidence
-
-
 @dataclass(eq=False)
 class _Loop:
     """One run: the record so far, and the acts that add to it."""
@@ -106,6 +100,8 @@ class _Loop:
     consecutive_errors: int = 0
     motion: MotionRecord | None = None
     """How the reported rotations compare with the images; None before the first image."""
+    expected_rad: float | None = None
+    """The error to expect at the end; None before the first image, and where it is unknown."""
     confirmed: bool = False
     """Whether the first move has been confirmed."""
 
@@ -115,8 +111,8 @@ class _Loop:
                 observation = self.observe()
                 if observation is not None:
                     self.act(self.decide(*observation))
-        except _Ended as end:
-            return self.result(end.status, end.reason, end.confidence)
+        except Ended as end:
+            return replace(self.result(end.status, end.reason, end.confidence), bound_rad=end.bound_rad)
         except KeyboardInterrupt:
             return self.result("interrupted", INTERRUPTED)
 
@@ -132,12 +128,14 @@ class _Loop:
 
     def result(self, status: Status, reason: str, confidence: float | None = None) -> OrientResult:
         """The record, and how the loop ended."""
-        return OrientResult(tuple(self.steps), status, reason, confidence, tuple(self.errors))
+        return OrientResult(
+            tuple(self.steps), status, reason, confidence, tuple(self.errors), expected_rad=self.expected_rad
+        )
 
     def observe(self) -> tuple[DepthImage, RotationEstimate] | None:
         """Capture and estimate; None where one failed and is to be retried."""
         if self.strategy is not None and len(self.steps) >= self.strategy.max_images:
-            raise _Ended("max_images", f"limit of {self.strategy.max_images} images")
+            raise Ended("max_images", f"limit of {self.strategy.max_images} images")
         try:
             image = self.session.capture()
         except USER_ERRORS as error:  # a driver may raise anything; the record must survive it
@@ -164,21 +162,25 @@ class _Loop:
             self.belief = self.belief.updated(self.steps[-1])
             decision = self.strategy.decide(self.belief, self.session.reachable)
         except USER_ERRORS as error:  # it may be the user's own; the record must survive it
-            raise _Ended("strategy_failed", f"the strategy failed: {in_words(error)}") from error
+            raise Ended("strategy_failed", f"the strategy failed: {in_words(error)}") from error
         believed = getattr(self.belief, "hypotheses_now", ())
-        self.steps[-1] = replace(self.steps[-1], message=decision.message, phase=decision.phase, hypotheses=believed)
+        message = decision.message
+        if len(self.steps) == 1:
+            self.expected_rad = expected_error_rad(self.estimator, image, self.goal)
+            message += "" if self.expected_rad is None else f"; expected final error {degrees(self.expected_rad, 2)}"
+        self.steps[-1] = replace(self.steps[-1], message=message, phase=decision.phase, hypotheses=believed)
         return decision
 
     def check_motion(self) -> None:
-        """Raise _Ended where the images contradict the rotations that the station reported."""
+        """Raise Ended where the images contradict the rotations that the station reported."""
         image = self.steps[-1].image
         self.motion = MotionRecord.start(image) if self.motion is None else self.motion.updated(self.steps[-2], image)
         if message := self.motion.contradiction:
             self.steps[-1] = replace(self.steps[-1], message=message)
-            raise _Ended("inconsistent_motion", message)
+            raise Ended("inconsistent_motion", message)
 
     def act(self, decision: Decision) -> None:
-        """Make the move, if there is one, and call the subscribers; raise _Ended where the loop ends."""
+        """Make the move, if there is one, and call the subscribers; raise Ended where the loop ends."""
         for subscriber in self.subscribers:
             getattr(subscriber, "decided", lambda _: None)(self.steps[-1])
         R_step, end = self.planned(decision)
@@ -193,18 +195,18 @@ class _Loop:
         else:
             self.consecutive_errors = 0
 
-    def planned(self, decision: Decision) -> tuple[Float[np.ndarray, "3 3"] | None, _Ended | None]:
+    def planned(self, decision: Decision) -> tuple[Float[np.ndarray, "3 3"] | None, Ended | None]:
         """The move that will be made, and how the loop ends, if it does."""
         if decision.status is not None:
-            return None, _Ended(decision.status, decision.message, decision.confidence)
+            return None, Ended(decision.status, decision.message, decision.confidence, decision.bound_rad)
         R_step, end = (None, None) if decision.R_step is None else self.nearest_move(decision.R_step)
         if self.limits.dry_run:
-            return None, _Ended("dry_run", f"dry run: {_plan(R_step, end) or decision.message}; nothing moved")
+            return None, Ended("dry_run", f"dry run: {plan(R_step, end) or decision.message}; nothing moved")
         if R_step is not None:
             end = self.refusal(R_step)
         return (R_step if end is None else None), end
 
-    def nearest_move(self, R_step: Float[np.ndarray, "3 3"]) -> tuple[Float[np.ndarray, "3 3"] | None, _Ended | None]:
+    def nearest_move(self, R_step: Float[np.ndarray, "3 3"]) -> tuple[Float[np.ndarray, "3 3"] | None, Ended | None]:
         """A move, or the nearest one that the station can make instead, or how the loop ends."""
         if self.session.reachable(R_step):
             return R_step, None
@@ -216,17 +218,17 @@ class _Loop:
             f"{degrees(left_rad, 1)}"
         )
         if nearest is None or wanted_rad - left_rad < MIN_GAIN_RAD:
-            return None, _Ended("unreachable", message)
+            return None, Ended("unreachable", message)
         self.errors.append(message)
         return nearest, None
 
-    def refusal(self, R_step: Float[np.ndarray, "3 3"]) -> _Ended | None:
+    def refusal(self, R_step: Float[np.ndarray, "3 3"]) -> Ended | None:
         """How the loop ends if the limits forbid a move."""
         angle = degrees(float(so3.angle(R_step)), 1)
         if self.session.rotated_rad + float(so3.angle(R_step)) > self.limits.max_rotation_rad:
-            return _Ended("max_rotation", f"the next move of {angle} would exceed the largest total rotation")
+            return Ended("max_rotation", f"the next move of {angle} would exceed the largest total rotation")
         if not self.confirmed and self.limits.confirm is not None and not self.limits.confirm(R_step):
-            return _Ended("declined", f"the first move of {angle} was not confirmed")
+            return Ended("declined", f"the first move of {angle} was not confirmed")
         self.confirmed = True
         return None
 
@@ -234,7 +236,7 @@ class _Loop:
         """Make a move and record it; returns its error."""
         self.steps[-1] = replace(self.steps[-1], R_step=R_step)
         R_executed, error = self.rotate(R_step)
-        self.record(replace(self.steps[-1], R_executed=R_executed, error=_rotation_error(error)))
+        self.record(replace(self.steps[-1], R_executed=R_executed, error=rotation_error(error)))
         return error
 
     def record(self, step: Step) -> None:
@@ -243,7 +245,7 @@ class _Loop:
         try:
             self.belief = self.belief.updated(step)
         except USER_ERRORS as error:
-            raise _Ended("strategy_failed", f"the strategy failed: {in_words(error)}") from error
+            raise Ended("strategy_failed", f"the strategy failed: {in_words(error)}") from error
 
     def rotate(self, R_step: Float[np.ndarray, "3 3"]) -> tuple[Float[np.ndarray, "3 3"] | None, BaseException | None]:
         """The executed rotation (None: unknown) and the error."""
@@ -256,15 +258,15 @@ class _Loop:
             raise
 
     def failed(self, status: Status, message: str, error: BaseException) -> None:
-        """Record an error. Beyond the strategy's patience undo the last move; raise _Ended where that is not done, and
+        """Record an error. Beyond the strategy's patience undo the last move; raise Ended where that is not done, and
         for an error that no repetition avoids."""
         self.errors.append(message)
         self.consecutive_errors += 1
         if isinstance(error, _FINAL):
-            raise _Ended(status, message)
+            raise Ended(status, message)
         patience = Fusing().patience if self.strategy is None else self.strategy.patience
         if self.consecutive_errors > patience and not self.undo():
-            raise _Ended(status, message)
+            raise Ended(status, message)
         time.sleep(self.limits.wait_s)
 
     def undo(self) -> bool:
@@ -279,21 +281,9 @@ class _Loop:
             return False
         R_done, error = self.rotate(R_back)
         angle = degrees(float(so3.angle(R_back)))
-        message = _rotation_error(error)
+        message = rotation_error(error)
         self.errors.append(message or f"no observation was possible after the move of {angle}: it was undone")
         R_both = None if R_done is None else R_done @ step.R_executed
         self.record(replace(step, R_executed=R_both, error=message, undone=True))
         self.consecutive_errors = 0
         return error is None
-
-
-def _plan(R_step: Float[np.ndarray, "3 3"] | None, end: _Ended | None) -> str:
-    """What a dry run would do; empty where it would not move."""
-    if end is not None or R_step is None:
-        return end.reason if end is not None else ""
-    rotvec = " ".join(f"{x:.1f}" for x in np.degrees(so3.log(R_step)))
-    return f"would rotate by {degrees(float(so3.angle(R_step)), 1)} (rotation vector [{rotvec}] deg, camera axes)"
-
-
-def _rotation_error(error: BaseException | None) -> str:
-    return "" if error is None else f"the station failed to rotate: {in_words(error)}"

@@ -4,27 +4,41 @@ from pathlib import Path
 
 from reorient.errors import ReorientError, unknown_name
 from reorient.estimators.base import Estimator, for_any_goal
+from reorient.extras import extras_named
 from reorient.plugins import make_own
 
-NAMES = ("default", "rotation-search", "fast", "thorough", "gicp", "icp", "paper", "swift")
+NAMES = ("default", "rotation-search", "fast", "normal", "gicp", "icp", "paper", "swift")
 
 
-def load_estimator(name: str = "default") -> Estimator:
+def load_estimator(name: str = "default", effort: str | None = None) -> Estimator:
     """An estimator of the package, or a user's own.
 
-    ``rotation-search``, or ``default``: any rotation, with a calibrated confidence; ``fast`` and ``thorough`` are the
-    same with less and more work. ``gicp``: generalised ICP, up to 60 degrees. ``icp``: the paper's baseline. ``paper``
-    and ``swift``: networks, up to 30 degrees. ``my.onnx``: weights that ``reorient export`` wrote.
-    ``my_module:MyEstimator``: a class, imported (the working folder included) and called without arguments.
+    ``rotation-search``, or ``default``: any rotation, with a calibrated confidence; it begins with little work and does
+    more where that leaves doubt. ``effort`` fixes the work: fast or normal, which are names, too. ``gicp``: generalised
+    ICP, up to 60 degrees. ``icp``: the paper's baseline. ``paper`` and ``swift``: networks, up to 30 degrees.
+    ``my.onnx``: weights that ``reorient export`` wrote. ``my_module:MyEstimator``: a class, imported (also from the
+    working folder) and called without arguments.
 
-    Of a goal of several views ``rotation-search``, ``fast`` and ``thorough`` use all; the others, and a user's own that
+    Of a goal of several views ``rotation-search``, ``fast`` and ``normal`` use all; the others, and a user's own that
     does not state ``several_views = True``, receive the primary one.
 
-    Raises ReorientError, a ValueError, for an unknown name.
+    Raises ReorientError, a ValueError, for an unknown name, an unknown effort, and an effort of another estimator, and
+    MissingExtra for ``icp`` without the extra ``sim``.
     """
     if not isinstance(name, str):
         raise ReorientError(f"estimator {name!r}: expected a name, a string")
-    return for_any_goal(_load(name))
+    if effort is not None:
+        return _with_effort(name, effort)
+    with extras_named():
+        return for_any_goal(_load(name))
+
+
+def _with_effort(name: str, effort: str) -> Estimator:
+    if name not in ("default", "rotation-search"):
+        raise ReorientError(f"estimator {name!r} with effort={effort!r}: expected an effort with 'default' alone")
+    from reorient.estimators.rotation_search import RotationSearch
+
+    return RotationSearch(effort)
 
 
 def _load(name: str) -> Estimator:
@@ -42,7 +56,7 @@ def _load(name: str) -> Estimator:
 def _rotation_search(name: str) -> Estimator:
     from reorient.estimators.rotation_search import RotationSearch
 
-    return RotationSearch(name if name in ("fast", "thorough") else "normal")
+    return RotationSearch(name if name in ("fast", "normal") else None)
 
 
 def _gicp(_: str) -> Estimator:

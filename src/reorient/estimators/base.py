@@ -21,6 +21,17 @@ History = Sequence[tuple[DepthImage, Float[np.ndarray, "3 3"]]]
 
 
 @dataclass(frozen=True, eq=False)
+class Candidate:
+    """A rotation that the truth may be, with what a confidence set needs."""
+
+    R_goal_current: Float[np.ndarray, "3 3"]
+    probability: float
+    """Probability that it is within 5 degrees of the truth, up to symmetry."""
+    level: float
+    """Confidence sets of a higher level hold it."""
+
+
+@dataclass(frozen=True, eq=False)
 class RotationEstimate:
     """The motion from current to goal: p_goal = R_goal_current p_current + t_goal_current_m, camera axes, metres."""
 
@@ -47,6 +58,28 @@ class RotationEstimate:
     points p_goal of the answer, if it is near the truth; None if unknown. Its first block is ``covariance_rad2``."""
     warnings: tuple[str, ...] = ()
     """What was found wrong with the input, a sentence each."""
+    candidates: tuple[Candidate, ...] = ()
+    """Distinct rotations, the answer first, then the most probable, for ``confidence_set``; empty where not calibrated.
+    """
+    guaranteed: float = 0.0
+    """The largest level at which ``confidence_set`` holds; 0 where not calibrated."""
+
+    def confidence_set(self, level: float = 0.95) -> list[tuple[Float[np.ndarray, "3 3"], float]] | None:
+        """The smallest list of (R, probability) that holds the truth with the probability ``level``, the answer first.
+
+        It holds the truth if one of its rotations is within 5 degrees of it, up to symmetry. By split-conformal
+        calibration on objects that nothing was trained on (``reorient verifier calibrate``): the probability is that
+        over estimates of the same number of views, and of images alike in noise and ambiguity. Never empty; a set of a
+        higher level holds those of lower ones. None where there is no guarantee: the estimator is not calibrated, or of
+        estimates like this one so many miss the truth altogether that only all rotations would do.
+
+        Raises ReorientError for a level that is not between 0 and 1.
+        """
+        if not 0 < level < 1:
+            raise ReorientError(f"level {level}: expected a probability between 0 and 1, such as 0.95")
+        if level > self.guaranteed:
+            return None
+        return [(x.R_goal_current, x.probability) for k, x in enumerate(self.candidates) if k == 0 or x.level < level]
 
     @property
     def T_goal_current(self) -> se3.Transform:

@@ -15,27 +15,33 @@ from jaxtyping import Float
 from reorient import so3
 from reorient.errors import ReorientError, unknown_name
 from reorient.estimators.base import History, RotationEstimate, check_pair, checked_history
+from reorient.estimators.confidence_sets import candidate_sets
 from reorient.estimators.equivalents import smallest_equivalent
 from reorient.estimators.goal_symmetry import NONE, equivalents, symmetries
-from reorient.estimators.polish import polish, uncertainty
+from reorient.estimators.polish import expected_covariance, polish, uncertainty
 from reorient.estimators.search import EFFORTS, Found, search
 from reorient.estimators.static_part import find_static_part
+from reorient.estimators.threads import threads
 from reorient.estimators.tracking import track
 from reorient.estimators.views_verifier import assess
 from reorient.imaging import DepthImage, Goal
 from reorient.registration import (
     EVIDENCE_POINTS,
     INLIER_TOLERANCE,
+    DepthView,
     Hypotheses,
     Problem,
     aligned_goal,
     build_problem,
     non_maximum_suppression,
+    posed_views,
 )
 from reorient.runs.pool import Pool
 
 DISTINCT_RAD = np.radians(12)  # two hypotheses closer than this are one answer
+POSSIBLE = 0.01  # probability: a less likely hypothesis is in no confidence set
 ALTERNATIVE_ABOVE = 0.25  # of the answer's probability: a less likely hypothesis is no alternative
+ENOUGH = 0.95  # confidence of a short search after which no longer one follows; docs/tuning.md, "Effort"
 SURE = 0.9  # probability above which a known pivot is not doubted, and a hypothesis is as good as the answer
 CONTRADICTED2 = 5.0  # squared Mahalanobis distance of a motion from leaving the pivot in place that contradicts it
 IMPOSSIBLE2 = 50.0  # the same, however unlikely that motion is
@@ -44,15 +50,19 @@ LEAST_COVISIBLE, UNSUPPORTED = 0.05, 0.1  # with a smaller co-visible inlier rat
 
 
 class RotationSearch:
-    """Any rotation, with a calibrated confidence and alternatives; ``effort``: fast, normal or thorough."""
+    """Any rotation, with a calibrated confidence and alternatives."""
 
     several_views: ClassVar[bool] = True
 
-    def __init__(self, effort: str = "normal") -> None:
-        """Raises ReorientError for an unknown effort."""
-        if effort not in EFFORTS:
+    def __init__(self, effort: str | None = None, threads: int | None = 1) -> None:
+        """``effort``: of the search, fast or normal; None: a part of fast, and normal where that leaves doubt.
+        ``threads``: of the linear algebra of one estimate; None: as the library is set.
+
+        Raises ReorientError for an unknown effort.
+        """
+        if effort is not None and effort not in EFFORTS:
             raise unknown_name("effort", effort, list(EFFORTS))
-        self._effort = effort
+        self._effort, self._threads = effort, threads
 
     def estimate(
         self,
@@ -63,25 +73,33 @@ class RotationSearch:
     ) -> RotationEstimate:
         """As ``Estimator.estimate``; of the history the captures that show the most new are used."""
         check_pair(current, goal, pivot_m)
-        goal, warnings = aligned_goal(goal, pivot_m)
-        problem = build_problem(current, goal, pivot_m, checked_history(history))
-        verified = self._without_wrong_pivot(self._verified(problem))
-        return polished(self._without_static_part(verified).with_warning(*warnings), symmetries(goal))
+        with threads(self._threads):
+            goal, warnings = aligned_goal(goal, pivot_m)
+            problem = build_problem(current, goal, pivot_m, checked_history(history))
+            verified = self._without_wrong_pivot(self._verified(problem))
+            return polished(self._without_static_part(verified).with_warning(*warnings), symmetries(goal))
 
     def track(self, current: DepthImage, goal: DepthImage | Goal, previous: RotationEstimate) -> RotationEstimate:
         """The motion near ``previous``, an estimate of a moment ago: see ``reorient.estimators.tracking.track``."""
         return track(current, goal, previous)
 
     def _verified(self, problem: Problem) -> "Verified":
-        """The hypotheses of a search, verified."""
-        return verify(problem, search(problem, EFFORTS[self._effort]), self._effort)
+        """The hypotheses of a search, verified; with no fixed effort, of a short one unless that leaves doubt."""
+        if self._effort is not None:
+            return self._fully_verified(problem)
+        short = verify(problem, search(problem, EFFORTS["fast"], robust=False), "fast")
+        return short if short.confidence >= ENOUGH else self._fully_verified(problem)
+
+    def _fully_verified(self, problem: Problem) -> "Verified":
+        effort = self._effort or "normal"
+        return verify(problem, search(problem, EFFORTS[effort]), effort)
 
     def _without_wrong_pivot(self, verified: "Verified") -> "Verified":
         """The hypotheses without the pivot where they are verified with it only poorly, and better without it."""
         prior = verified.problem.prior
         if not prior.known or verified.confidence >= SURE:
             return verified
-        freely = self._verified(verified.problem.without_pivot)
+        freely = self._fully_verified(verified.problem.without_pivot)
         best = freely.found.hypotheses[np.array([freely.best])]
         distance2 = prior.mahalanobis2(best.R, best.t_m)[0]
         more_likely = freely.confidence > max(verified.confidence, DOUBTED)
@@ -106,6 +124,12 @@ class RotationSearch:
         if not static.still and rest.confidence < verified.confidence:
             return verified
         return rest.with_warning(message + "the estimate is of the rest", *verified.warnings)
+
+    def final_covariance(self, current: DepthImage, goal: DepthImage | Goal) -> Float[np.ndarray, "3 3"]:
+        """Covariance (rad^2) of an estimate at the goal pose, by the goal's shape and the noise of the images."""
+        check_pair(current, goal)
+        with threads(self._threads):
+            return expected_covariance(DepthView(current), posed_views(aligned_goal(goal)[0]))
 
     def estimate_many(
         self,
@@ -162,9 +186,9 @@ def verify(problem: Problem, found: Found, effort: str) -> Verified:
 def polished(verified: Verified, group: Hypotheses = NONE) -> RotationEstimate:
     """The most likely hypothesis, polished, and the alternatives to it. ``group``: the symmetries of the goal."""
     hypotheses, probability, best = verified.found.hypotheses, verified.probability, verified.best
-    likely = np.nonzero(probability > ALTERNATIVE_ABOVE * probability[best])[0]
+    possible = np.nonzero((probability > POSSIBLE) | (probability >= probability[best]))[0]
     # the best first
-    distinct = likely[non_maximum_suppression(hypotheses.R[likely], verified.log_odds[likely], DISTINCT_RAD)]
+    distinct = possible[non_maximum_suppression(hypotheses.R[possible], verified.log_odds[possible], DISTINCT_RAD)]
     share = probability / max(float(probability[distinct].sum()), 1.0)  # normalised only if they sum to more than 1
     problem = verified.problem if verified.found.silhouettes[best] else verified.problem.without_silhouettes
     equivalent = distinct[1:][probability[distinct[1:]] >= SURE]  # a flip that only fits alike may be no symmetry
@@ -174,21 +198,25 @@ def polished(verified: Verified, group: Hypotheses = NONE) -> RotationEstimate:
     away_rad = so3.angle_difference(hypotheses.R[distinct][:, None], same.R).min(axis=1)
     others = distinct[away_rad > DISTINCT_RAD]
     answer = polish(problem, chosen, *([] if verified.found.silhouettes[best] else [verified.problem]))
-    covariance, converged = uncertainty(problem, answer.hypothesis)
+    covariance, converged = uncertainty(problem, answer)
     motion = answer.hypothesis.R[0], answer.hypothesis.t_m[0]
-    tolerance_m = INLIER_TOLERANCE * problem.diameter_m
-    evidence = verified.problem.evidence(*motion, tolerance_m, EVIDENCE_POINTS)
-    estimate = RotationEstimate(
+    evidence = verified.problem.evidence(*motion, INLIER_TOLERANCE * problem.diameter_m, EVIDENCE_POINTS)
+    unsupported = not evidence.covisible_inlier_ratio >= LEAST_COVISIBLE  # also if it is NaN
+    confidence = min(verified.confidence, UNSUPPORTED) if unsupported else verified.confidence
+    named = [(motion[0], min(confidence, float(share[best]))), *((hypotheses.R[i], float(share[i])) for i in others)]
+    candidates, guaranteed = candidate_sets(named, verified.problem, evidence)
+    return RotationEstimate(
         *motion,
         replace(evidence, converged=converged, iterations=answer.iterations),
-        confidence=verified.confidence,
-        alternatives=tuple((hypotheses.R[i], float(share[i])) for i in others),
+        confidence=confidence,
+        alternatives=tuple(
+            (hypotheses.R[i], float(share[i])) for i in others if probability[i] > ALTERNATIVE_ABOVE * probability[best]
+        ),
         covariance_rad2=covariance[:3, :3],
         motion_covariance=covariance,
         free_axis=axis,
         symmetries=tuple(group.R),
         warnings=verified.warnings,
+        candidates=candidates,
+        guaranteed=guaranteed,
     )
-    if not estimate.evidence.covisible_inlier_ratio >= LEAST_COVISIBLE:  # nor if it is NaN
-        return replace(estimate, confidence=min(verified.confidence, UNSUPPORTED))
-    return estimate

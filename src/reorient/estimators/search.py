@@ -7,7 +7,8 @@
 3. Gauss-Newton to the finest tolerance, and non-maximum suppression.
 
 All this twice: with the silhouettes, which help where the images show the whole object, and with less work without
-them, which mislead where part of it is missing. Both sets of hypotheses go to the verifier.
+them, which mislead where part of it is missing. Both sets of hypotheses go to the verifier. A first search whose best
+hypothesis needs to be beyond doubt does without the second.
 """
 
 from dataclasses import dataclass
@@ -72,7 +73,7 @@ _FINE = (0.01, 0.01, 0.01, 0.01)
 _FINEST = (0.01, 0.008, 0.006)
 
 # What each stage, the perturbations and the number of modes of "normal" are worth: docs/ablations.md, "Stages of the
-# search". What limits "thorough": docs/tuning.md. The trials that chose the single numbers are not recorded.
+# search". The trials that chose the single numbers are not recorded.
 # fmt: off
 EFFORTS = {
     "fast": Effort(
@@ -113,31 +114,6 @@ EFFORTS = {
             ),
         ),
     ),
-    "thorough": Effort(
-        grid=12000, grid_points=150, slid=2000, modes=220,
-        stages=(
-            Stage(
-                tolerances=_COARSE, points=200, scored_tolerance=0.03, scored_points=400,
-                keep=110, radius_deg=8.0, copies=48, rotation_rad=0.25, shift=0.05,
-            ),
-            Stage(
-                tolerances=_COARSE, points=300, scored_tolerance=0.025, scored_points=600,
-                keep=64, radius_deg=6.0, copies=48, rotation_rad=0.15, shift=0.03,
-            ),
-            Stage(
-                tolerances=_MIDDLE, points=600, scored_tolerance=0.015, scored_points=1000,
-                keep=44, radius_deg=4.0, copies=48, rotation_rad=0.1, shift=0.02,
-            ),
-            Stage(
-                tolerances=(*_FINE, *_FINE), points=1000, scored_tolerance=0.01, scored_points=1500,
-                keep=28, radius_deg=3.0, copies=32, rotation_rad=0.06, shift=0.012,
-            ),
-            Stage(
-                tolerances=(*_FINE, *_FINEST), points=1500, scored_tolerance=0.012, scored_points=1500,
-                keep=24, radius_deg=3.0,
-            ),
-        ),
-    ),
 }
 # fmt: on
 
@@ -154,14 +130,15 @@ class Found:
     """Which of them were refined with the silhouettes."""
 
 
-def search(problem: Problem, effort: Effort) -> Found:
-    """Distinct hypotheses of a search with the silhouettes, and of one without. Deterministic."""
-    found = search_once(problem, effort), search_once(problem.without_silhouettes, EFFORTS["fast"])
-    hypotheses = found[0].and_also(found[1])
-    with_silhouettes = np.arange(len(hypotheses)) < len(found[0])
+def search(problem: Problem, effort: Effort, robust: bool = True) -> Found:
+    """Distinct hypotheses of a search with the silhouettes and, if ``robust``, of one without. Deterministic."""
+    hypotheses = search_once(problem, effort)
+    count = len(hypotheses)
+    if robust:
+        hypotheses = hypotheses.and_also(search_once(problem.without_silhouettes, EFFORTS["fast"]))
     score = problem.score(hypotheses, effort.stages[-1].scored_tolerance, effort.stages[-1].scored_points)
     kept = non_maximum_suppression(hypotheses.R, score, SAME_RAD)
-    return Found(hypotheses[kept], with_silhouettes[kept])
+    return Found(hypotheses[kept], kept < count)
 
 
 def search_once(problem: Problem, effort: Effort) -> Hypotheses:

@@ -6,13 +6,16 @@ mean and largest, go through boosted trees of their own, trained on problems of 
 its card is ``verifier-views.md``). With one goal view the mean of the log-odds is enough.
 """
 
+import hashlib
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
 from reorient import so3
+from reorient.estimators import image_verifier
 from reorient.estimators.image_verifier import with_images
 from reorient.estimators.verifier import FEATURES, features, load_verifier
 from reorient.registration import INLIER_TOLERANCE, Hypotheses, Problem
@@ -112,3 +115,14 @@ def _of_set(hypotheses: Hypotheses, score: Float[np.ndarray, " k"]) -> list[Floa
 def group_of(goal_views: int) -> str:
     """The name of the calibration of so many goal views."""
     return f"{min(goal_views, 6)} goal views"
+
+
+@cache
+def fingerprint(several: bool = False) -> str:
+    """Of all that ``assess`` uses, for one pair of views or for several: what was calibrated with other verifiers does
+    not hold."""
+    found = (load_verifier(), load_verifier(WEIGHTS, VIEWS_FEATURES)) if several else (load_verifier(),)
+    parts = [x.value.tobytes() + repr(sorted(x.calibration.items())).encode() for x in found]
+    if not several:
+        parts.append(image_verifier.WEIGHTS.read_bytes())
+    return hashlib.sha256(b"".join(parts)).hexdigest()[:16]

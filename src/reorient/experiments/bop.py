@@ -160,7 +160,8 @@ def _answers(config: BopEvaluation, current: View, goal: View) -> Iterator[dict[
         if images is None:
             T, cells = np.eye(4), {"seconds": "0", "message": refused}
         else:
-            T, cells = measured(cached_estimator(name), *images)
+            estimate, cells = measured(cached_estimator(name), *images)
+            T = np.eye(4) if estimate is None else estimate.T_goal_current
         T_answer = T @ T_current
         errors = {
             "error_deg": f"{np.degrees(so3.angle_difference(T[:3, :3], T_true[:3, :3])):.5f}",

@@ -35,10 +35,12 @@ from reorient.world.symmetry import SymmetryGroup, symmetric_error
 COLUMNS = [
     *("object", "trial", "noise_mm", "start_deg", "slack_deg", "faults", "estimator", "strategy", "angle_deg"),
     *("moves", "images", "status", "converged", "confidence", "error_deg", "error_sym_deg", "trajectory_deg"),
-    *("seconds", "faults_met", "reason"),
+    *("seconds", "faults_met", "reason", "expected_deg", "bound_deg"),
 ]
 """``angle_deg``: symmetry-aware start angle; ``error_deg``, ``error_sym_deg``: final error, plain and symmetry-aware;
-``trajectory_deg``: plain error at the start and after each move; ``seconds``: processor time of the loop."""
+``trajectory_deg``: plain error at the start and after each move; ``seconds``: processor time of the loop;
+``expected_deg``: root mean square of the final error as expected before the first move; ``bound_deg``: its printed 95%
+bound. Rows of earlier versions lack the last two."""
 _SYMMETRIC_AMONG = 6  # times as many objects are searched for those with a symmetry
 
 
@@ -168,6 +170,8 @@ def _loop(trial: Trial, system: str) -> Row:
         "seconds": f"{seconds:.3f}",
         "faults_met": " ".join(faulty.met),
         "reason": result.reason,
+        "expected_deg": _degrees(result.expected_rad),
+        "bound_deg": _degrees(result.bound_rad),
     }
     return {column: str(row[column]) for column in COLUMNS}
 
@@ -189,6 +193,10 @@ def _start(rng: np.random.Generator, start_deg: str) -> Float[np.ndarray, "3 3"]
         return np.asarray(so3.sample_uniform(rng, 1)[0])
     angle_rad = float(np.radians(float(start_deg)))
     return np.asarray(so3.matrix_from_quat(so3.sample_bounded(rng, 1, angle_rad, angle_rad))[0])
+
+
+def _degrees(angle_rad: float | None) -> str:
+    return "" if angle_rad is None else f"{np.degrees(angle_rad):.4f}"
 
 
 def _number(word: str) -> float:

@@ -70,7 +70,7 @@ class VerifierData:
     slip_deg: float = 2.0
     """Largest error of the stated rotations of further goal views."""
     effort: str = "normal"
-    """Effort of the search that makes the hypotheses: fast, normal or thorough."""
+    """Effort of the search that makes the hypotheses: fast or normal."""
     least_deg: float = 0.0
     """Only the ranges of rotation angles (0-30, 30-60, 60-90, 90-180 degrees) from here on."""
     images: bool = False
@@ -150,16 +150,31 @@ def _make_shard(task: tuple[VerifierData, int, tuple[str, ...]]) -> Arrays:
     return columns | {"features": np.array(VIEWS_FEATURES if config.several_views else FEATURES)}
 
 
-def _hypotheses(config: VerifierData, renderer: Renderer, number: int) -> Iterator[Arrays]:
-    """The hypotheses of each pair of an object: features, error and where they come from."""
-    group, world = rotation_group(renderer.mesh), load_world(config.world)
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One pair with the errors of its images, as an estimator receives it."""
+
+    low_deg: float
+    """Of the range of its angle."""
+    noise_m: float
+    pair: Pair
+    current: DepthImage
+    goal: Goal
+    history: History
+    pivot_m: Float[np.ndarray, "3"] | None
+
+
+def samples(config: VerifierData, renderer: Renderer, number: int) -> Iterator[tuple[int, Sample]]:
+    """The pairs of object ``number``, each with its index; those that show too little are left out."""
+    world = load_world(config.world)
     for index in range(config.pairs):
         rng = np.random.default_rng([config.seed, number, index])
-        low, high = np.radians(config.ranges_deg[index % len(config.ranges_deg)])
+        low_deg, high_deg = config.ranges_deg[index % len(config.ranges_deg)]
         try:
             held = world.sometimes_in_hand(rng, config.in_hand)
-            sensor = randomised(_noise_m(rng, config.most_noise_mm))
-            pair = sample_pair(rng, renderer, held, sensor, low, high)
+            noise_m = _noise_m(rng, config.most_noise_mm)
+            sensor = randomised(noise_m)
+            pair = sample_pair(rng, renderer, held, sensor, np.radians(low_deg), np.radians(high_deg))
         except ReorientError:  # a sheet that shows too little from everywhere
             continue
         if rng.random() < config.static:
@@ -171,17 +186,24 @@ def _hypotheses(config: VerifierData, renderer: Renderer, number: int) -> Iterat
         current, goal, history = _with_wrong_focal(rng, *images, config.most_wrong_focal)
         pivot_m = _off(rng, pair.pivot_m) if rng.random() < config.wrong_pivot else pair.pivot_m
         known_m = pivot_m if rng.random() < PIVOT_SHARE else None
-        problem = build_problem(current, aligned_goal(goal, known_m)[0], known_m, history)
+        yield index, Sample(low_deg, noise_m, pair, current, goal, history, known_m)
+
+
+def _hypotheses(config: VerifierData, renderer: Renderer, number: int) -> Iterator[Arrays]:
+    """The hypotheses of each pair of an object: features, error and where they come from."""
+    group = rotation_group(renderer.mesh)
+    for index, x in samples(config, renderer, number):
+        problem = build_problem(x.current, aligned_goal(x.goal, x.pivot_m)[0], x.pivot_m, x.history)
         if config.several_views and len(problem.views_now) == len(problem.goal_views) == 1:
             continue  # one pair of views is left
         hypotheses = search(problem, EFFORTS[config.effort]).hypotheses
-        errors = [symmetric_error(group, R, pair.R_goal_current, pair.R_camera_object) for R in hypotheses.R]
+        errors = [symmetric_error(group, R, x.pair.R_goal_current, x.pair.R_camera_object) for R in hypotheses.R]
         yield {
             "figures": (_of_views if config.several_views else features)(problem, hypotheses).astype(np.float32),
             "error_deg": np.degrees(errors).astype(np.float32),
             "pair": np.full(len(errors), number * config.pairs + index),
             "object": np.full(len(errors), number),
-            "angle_deg": np.full(len(errors), np.degrees(low), np.float32),
+            "angle_deg": np.full(len(errors), x.low_deg, np.float32),
         } | ({"images": evidence_images(problem, hypotheses)} if config.images else {})
 
 

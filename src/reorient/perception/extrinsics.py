@@ -54,7 +54,7 @@ def _entries(path: Path) -> dict[str, Any]:
     if path.suffix == ".npz":
         with np.load(path) as arrays:
             return {name: arrays[name] for name in arrays}
-    text = path.read_text(errors="replace")
+    text = path.read_text(encoding="utf-8", errors="replace")
     try:
         data = json.loads(text)
         return _flat(data) if isinstance(data, dict) else {"matrix": data}

@@ -66,7 +66,7 @@ def read_robot_calibration(path: str | Path) -> RobotCalibration:
     if not path.is_file():
         raise ReorientError(f"no calibration file {str(path)!r}: expected that of `reorient calibrate`")
     try:
-        data = json.loads(path.read_text(errors="replace"))
+        data = json.loads(path.read_text(encoding="utf-8", errors="replace"))
         known = {field.name for field in fields(RobotCalibration)}
         arrays = {name: np.array(data[name], float) for name in ("T_base_camera", "p_tool_object_m")}
         return RobotCalibration(**{name: value for name, value in data.items() if name in known} | arrays)
@@ -83,4 +83,4 @@ def write_robot_calibration(path: str | Path, calibration: RobotCalibration) -> 
         name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in asdict(calibration).items()
     }
     with replacing(path) as temporary:
-        temporary.write_text(json.dumps(data, indent=1) + "\n")
+        temporary.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")

@@ -24,6 +24,7 @@ OUTSIDE_M = np.float32(1e3)  # the surface's depth outside the silhouette, behin
 LARGEST_PX = 160  # an object's image larger than this is shrunk: finer pixels cost time and add nothing
 MARGIN_PX = 4  # around a cropped object; not tuned
 OUTLINE_PX = 1.5  # a point may lie outside the outline by this much
+MEDIAN_DEVIATION = 0.6745  # median of the absolute value of a standard normal variable
 _PAD = 4  # pixels around the image, more than the gap; not tuned
 
 
@@ -121,6 +122,7 @@ class DepthView:
     @cached_property
     def without_silhouette(self) -> "DepthView":
         """The view with all that is not the object unknown: no point violates its silhouette."""
+        _ = self._planes  # computed once, for both
         view = copy(self)
         view._surface_m = np.where(self._gap_px <= GAP_PX, self._surface_m, -OUTSIDE_M)
         return view
@@ -151,6 +153,14 @@ class DepthView:
     def normals(self) -> Float[np.ndarray, "m 3"]:
         """Unit normals of all returns, towards the camera."""
         return self._planes[0]
+
+    @cached_property
+    def noise_m(self) -> float:
+        """Depth noise as the image shows it: the deviation (by the median) of the returns from
+        the planes of their neighbours; of noise that neighbours share, a part."""
+        x, y, z = self.points_m.T
+        nx, ny, nz, offset_m = self.planes(self._pixels(self.points_m.T))
+        return float(np.median(np.abs(nx * x + ny * y + nz * z - offset_m)) / MEDIAN_DEVIATION)
 
     def sample_normals(self, points: int) -> Float[np.ndarray, "3 n"]:
         """The normals of ``sample(points)``."""

@@ -18,7 +18,9 @@ NEEDED = (
     *("object", "pair", "world", "noise_mm", "low_deg", "high_deg", "estimator", "angle_deg", "error_deg"),
     *("error_sym_deg", "qw", "qx", "qy", "qz", "seconds", "message"),
 )
-OPTIONAL = ("overlap", "confidence", "goal_views")  # empty where rows of an earlier version lack them
+OPTIONAL = ("overlap", "confidence", "goal_views", "set_size", "set_covers", "distance2")
+"""Empty where rows of an earlier version lack them."""
+CORRECT_DEG = 5.0  # symmetry-aware error below which an estimate is correct
 QUARTERS = ((0, 25), (25, 50), (50, 75), (75, 100))  # of the overlap, in percent
 
 
@@ -64,7 +66,7 @@ def read_table(file: Path, columns: Sequence[str]) -> list[Row]:
     if not file.is_file():
         raise ReorientError(f"no {str(file)!r}: expected config.json and {file.name} of a run")
     try:
-        with gzip.open(file, "rt", newline="") as text:
+        with gzip.open(file, "rt", encoding="utf-8", newline="") as text:
             reader = csv.DictReader(text)
             rows = list(reader)
     except (OSError, EOFError, zlib.error, UnicodeDecodeError, csv.Error) as error:

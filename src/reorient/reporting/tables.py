@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from reorient.reporting.page import wide
-from reorient.reporting.rows import Summary, by_overlap, estimators, summarise
+from reorient.reporting.rows import CORRECT_DEG, Summary, by_overlap, estimators, summarise
 from reorient.runs.run import Row
 
 _BELOW5 = "< 5° (95% interval)"
@@ -17,6 +17,7 @@ HEADINGS = (
     *("noise", "", "estimator", "pairs", "median°", "mean°", "rms°", "p90°"),
     *("< 1°", _BELOW5, "< 5° sym.", "ms"),
 )
+ELLIPSOID_95 = 7.815  # squared Mahalanobis distance, three degrees of freedom
 _WORDS = 3  # number of left-aligned columns
 _BAR = HEADINGS.index(_BELOW5)
 
@@ -96,7 +97,32 @@ def notes(rows: Sequence[Row]) -> str:
         f"Errors in degrees over all pairs of the cell, {_worlds(rows)}; sym.: symmetry-aware; ms: median processor "
         'time of one estimate, all threads; the interval is Wilson\'s. A refused pair counts as "no rotation"'
         + (f" (refused: {counts})." if counts else "; none was refused.")
+        + "".join(f" {sentence}." for name in estimators(rows) if (sentence := _trust(rows, name)))
     )
+
+
+def _trust(rows: Sequence[Row], name: str) -> str:
+    """The coverage of an estimator's 95% sets and ellipsoids in words; empty for one without."""
+    mine = [row for row in rows if row["estimator"] == name]
+    sizes = [int(row["set_size"]) for row in mine if row.get("set_size")]
+    given = [row for row in mine if row.get("set_size", "") not in ("", "0")]
+    inside = [
+        float(row["distance2"]) <= ELLIPSOID_95
+        for row in mine
+        if row.get("distance2") and float(row["error_sym_deg"]) < CORRECT_DEG
+    ]
+    words = []
+    if given:
+        covered = sum(row["set_covers"] == "1" for row in given) / len(given)
+        median = sorted(int(row["set_size"]) for row in given)[len(given) // 2]
+        words.append(
+            f"95% sets of {name}: {covered:.1%} of {len(given)} hold the truth, median size {median}, "
+            f"none for {len(sizes) - len(given)} pairs"
+        )
+    if inside:
+        share = sum(inside) / len(inside)
+        words.append(f"95% ellipsoids of {name}: {share:.1%} of {len(inside)} correct answers hold the truth")
+    return "; ".join(words)
 
 
 def _lines(rows: Sequence[Row], by: Breakdown) -> Iterator[tuple[Summary, list[str]]]:

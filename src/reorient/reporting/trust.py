@@ -13,11 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 from scipy.stats import binomtest
 
-from reorient.reporting.rows import estimators, numbers
+from reorient.reporting.rows import CORRECT_DEG, estimators, numbers
 from reorient.reporting.style import PAGE_INCHES, REFERENCE, STYLE, colours_of, legend
 from reorient.runs.run import Row
-
-CORRECT_DEG = 5.0
 
 
 @dataclass(frozen=True)

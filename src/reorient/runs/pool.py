@@ -5,11 +5,11 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from threading import Thread
 from typing import Any, Literal, TypeVar
 
-from reorient.errors import OutOfRange, ReorientError
+from reorient.errors import OutOfRange
+from reorient.extras import import_extra
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -45,7 +45,7 @@ class Pool:
         """The results in the order of the tasks, each as soon as it and those before it are there.
 
         One worker of backend "processes" is the calling process. Worker processes end with the calling process, even
-        if that is killed. Raises ReorientError where Ray is not installed, and whatever ``function`` raises.
+        if that is killed. Raises MissingExtra where Ray is not installed, and whatever ``function`` raises.
         """
         if self.backend == "ray":
             return self._map_on_ray(function, tasks)
@@ -73,10 +73,7 @@ class Pool:
 
 def _ray() -> Any:
     """Ray, connected, and known to joblib."""
-    try:
-        ray, ray_joblib = import_module("ray"), import_module("ray.util.joblib")
-    except ImportError as error:
-        raise ReorientError("ray is not installed: expected `pip install 'reorient[cluster]'`") from error
+    ray, ray_joblib = import_extra("ray"), import_extra("ray.util.joblib")
     ray_joblib.register_ray()
     if not ray.is_initialized():
         ray.init(include_dashboard=False, log_to_driver=False)

@@ -27,7 +27,7 @@ def keep_record(file: Path, record: dict[str, Any], compared: tuple[str, ...] = 
     """
     if not file.is_file():
         with replacing(file) as temporary:
-            temporary.write_text(json.dumps(record, indent=2) + "\n")
+            temporary.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
         return
     earlier = read_record(file)
     if any(earlier.get(key) != record[key] for key in compared):
@@ -39,7 +39,7 @@ def keep_record(file: Path, record: dict[str, Any], compared: tuple[str, ...] = 
 def read_record(file: Path) -> dict[str, Any]:
     """The record in a file. Raises ReorientError where it is broken."""
     try:
-        return dict(json.loads(file.read_text()))
+        return dict(json.loads(file.read_text(encoding="utf-8")))
     except (ValueError, TypeError) as error:
         raise ReorientError(f"broken {str(file)!r} ({error}): expected the config of a run") from error
 

@@ -121,7 +121,7 @@ class RowStore:
     def keep(self, folder: Path, task: str, result: Tables) -> None:
         """As ``Store``. Raises ReorientError for columns other than those of the rows kept before."""
         self._check_columns(folder, result)
-        with (folder / "partial.jsonl").open("a") as file:
+        with (folder / "partial.jsonl").open("a", encoding="utf-8") as file:
             file.write(json.dumps({"task": task} | result) + "\n")
 
     def pack(self, folder: Path, tasks: Sequence[str]) -> None:
@@ -160,9 +160,9 @@ def whole_lines(path: Path) -> list[str]:
     """The complete lines of a file; an incomplete last line is removed from it."""
     if not path.is_file():
         return []
-    lines = path.read_text().splitlines(keepends=True)
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
     if lines and not lines[-1].endswith("\n"):
         lines.pop()
         with replacing(path) as temporary:
-            temporary.write_text("".join(lines))
+            temporary.write_text("".join(lines), encoding="utf-8")
     return lines

@@ -44,7 +44,9 @@ def _require_complete(path: Path, loaded: int) -> None:
     .off and .ply state their number of rows; in .obj only an incomplete last line is detectable.
     """
     if path.suffix.lower() == ".off":
-        bare = "\n".join(line.partition("#")[0] for line in path.read_text(errors="replace").splitlines())
+        bare = "\n".join(
+            line.partition("#")[0] for line in path.read_text(encoding="utf-8", errors="replace").splitlines()
+        )
         lines = [words for line in bare.partition("OFF")[2].splitlines() if (words := line.split())]
         vertices, faces = int(lines[0][0]), int(lines[0][1])
         whole = sum(len(face) > int(face[0]) for face in lines[1 + vertices : 1 + vertices + faces])

@@ -153,7 +153,7 @@ class ObjectSource:
             return objects
         if not self.only.is_file():
             raise ReorientError(f"no file {str(self.only)!r}: expected object names, one a line")
-        lines = self.only.read_text(errors="replace").splitlines()
+        lines = self.only.read_text(encoding="utf-8", errors="replace").splitlines()
         names = [line.strip() for line in lines if line.strip()]
         if not names:
             raise ReorientError(f"no names in {str(self.only)!r}: expected object names, one a line")

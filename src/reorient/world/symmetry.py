@@ -162,6 +162,20 @@ def _traces(R0: Float[np.ndarray, "n 3 3"], R1: Float[np.ndarray, "m 3 3"]) -> F
     return np.asarray(R0.reshape(-1, 9) @ R1.reshape(-1, 9).T)
 
 
+def nearest_equivalent(
+    group: SymmetryGroup,
+    R_est: Float[np.ndarray, "3 3"],
+    R_gt: Float[np.ndarray, "3 3"],
+    R_camera_object: Float[np.ndarray, "3 3"],
+) -> Float[np.ndarray, "3 3"] | None:
+    """Of the rotations that are equivalent to the true one, the nearest to the estimated one; None where they are a
+    continuum. The arguments are those of ``symmetric_error``."""
+    if group.spherical or len(group.axes):
+        return None
+    true = R_gt @ R_camera_object @ group.rotations @ R_camera_object.T
+    return np.asarray(true[np.argmin(so3.angle_difference(true, R_est))])
+
+
 def symmetric_error(
     group: SymmetryGroup,
     R_est: Float[np.ndarray, "3 3"],
