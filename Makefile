@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo demo-robot readme-picture demo-cell test test-slow test-train test-cell test-peers test-robot test-view lint clean
+.PHONY: demo demo-robot readme-picture demo-cell test test-slow test-train test-cell test-peers test-robot test-view fuzz lint clean
 
 demo: .venv/base
 	$(BIN)/reorient demo --out out/demo
@@ -42,6 +42,11 @@ lint: .venv/dev
 test-view: .venv/view
 	$(BIN)/pytest tests/view
 
+# Mutated files for every reader: make fuzz COUNT=5000 for a hundred thousand inputs.
+COUNT ?= 500
+fuzz: .venv/train
+	PYTHONPATH=benchmarks $(BIN)/python benchmarks/fuzz.py --count $(COUNT)
+
 .venv/base: pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
@@ -49,7 +54,7 @@ test-view: .venv/view
 
 # The other environments add extras to the base.
 EXTRAS_dev := dev
-EXTRAS_train := dev,train,cluster
+EXTRAS_train := dev,train,cluster,s3,s3-tests
 EXTRAS_cell := dev,cell
 EXTRAS_peers := dev,peers
 EXTRAS_view := dev,view,view-tests
