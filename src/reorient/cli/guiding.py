@@ -12,7 +12,7 @@ from reorient.cli.arguments import Metavar, Positional
 from reorient.cli.isolating import GoalFrame
 from reorient.cli.stations import StationChoice
 from reorient.cli.view_options import ViewOptions
-from reorient.errors import ReorientError, check_range
+from reorient.errors import ReorientError, check_counts, check_range
 from reorient.formatting import format_probability
 
 if TYPE_CHECKING:
@@ -144,7 +144,7 @@ class Guide:
 
     def __post_init__(self) -> None:
         """Raises ReorientError for values out of range."""
-        check_range(self, "parts", low=1)
+        check_counts(self, "parts")
         check_range(self, "timeout_s", above=True)
 
     def run(self) -> int:
@@ -215,7 +215,7 @@ class Terminal:
         from rich.console import Console
         from rich.live import Live
 
-        console = Console()
+        console = Console(markup=False, emoji=False)
         self._tolerance_deg = tolerance_deg
         self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
         self._printed: tuple[str, float] = ("", -np.inf)

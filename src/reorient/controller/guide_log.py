@@ -10,6 +10,7 @@ import numpy as np
 
 from reorient.controller.guiding import GuideState
 from reorient.errors import ReorientError
+from reorient.runs.files import writing
 
 COLUMNS = ("date", "object", "result", "start_deg", "seconds", "final_deg", "confidence", "images", "losses")
 
@@ -88,7 +89,7 @@ class GuideLog:
             str(trial.losses),
         )
         new = not self._path.is_file()
-        with self._path.open("a", newline="") as file:
+        with writing(self._path), self._path.open("a", newline="", encoding="utf-8", errors="backslashreplace") as file:
             writer = csv.writer(file)
             if new:
                 writer.writerow(COLUMNS)
@@ -104,6 +105,6 @@ def _check(path: Path) -> None:
     if not path.parent.is_dir():
         raise ReorientError(f"no folder {str(path.parent)!r} for the log: expected an existing folder")
     if path.is_file():
-        first = path.read_text(errors="replace").splitlines()[:1]
+        first = path.read_text(encoding="utf-8", errors="replace").splitlines()[:1]
         if first != [",".join(COLUMNS)]:
             raise ReorientError(f"{str(path)!r} is no log of `reorient guide`: expected a new file, or one it wrote")

@@ -145,7 +145,7 @@ def print_summary(folder: Path) -> None:
         table.add_column(heading, justify="left" if index < 2 else "right", no_wrap=True)
     for line in summary(loops):
         table.add_row(*line)
-    console = Console(width=max(Console().width, 130))
+    console = Console(width=max(Console().width, 130), markup=False, emoji=False)
     console.print(table)
     for sentence in [*mask_summary(folder), *_not_staged(loops)]:
         print(sentence)

@@ -47,7 +47,7 @@ def write_report(folder: str | Path, pairs: int = 200) -> Path:
         "Charts": part("charts", _charts_note(rows, shown)),
         "Pair": missing + part("pair", _PAIR),
         "Best and worst estimates": part("rows"),
-        "Configuration": f"<pre>{escape((folder / 'config.json').read_text())}</pre>",
+        "Configuration": f"<pre>{escape((folder / 'config.json').read_text(encoding='utf-8'))}</pre>",
     }
     objects = len({row["object"] for row in rows})
     lead = (

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from reorient import __version__
-from reorient.errors import ReorientError
+from reorient.errors import ReorientError, reason_of
 from reorient.runs.files import replacing
 
 
@@ -39,9 +39,9 @@ def keep_record(file: Path, record: dict[str, Any], compared: tuple[str, ...] = 
 def read_record(file: Path) -> dict[str, Any]:
     """The record in a file. Raises ReorientError where it is broken."""
     try:
-        return dict(json.loads(file.read_text()))
-    except (ValueError, TypeError) as error:
-        raise ReorientError(f"broken {str(file)!r} ({error}): expected the config of a run") from error
+        return dict(json.loads(file.read_text(encoding="utf-8")))
+    except (ValueError, TypeError, RecursionError) as error:
+        raise ReorientError(f"broken {str(file)!r} ({reason_of(error)}): expected the config of a run") from error
 
 
 def commit() -> str | None:
