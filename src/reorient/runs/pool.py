@@ -10,7 +10,7 @@ from itertools import islice
 from threading import Thread
 from typing import Any, Literal, TypeVar
 
-from reorient.errors import OutOfRange, ReorientError
+from reorient.errors import OutOfRange, ReorientError, check_range
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -33,8 +33,9 @@ class Pool:
 
     def __post_init__(self) -> None:
         """Raises ReorientError for a number of workers other than -1, 1, 2, ..."""
-        if not 1 <= self.workers <= MOST_WORKERS and self.workers != -1:
-            raise OutOfRange("workers", self.workers, f"1 to {MOST_WORKERS}, or -1 for one per core")
+        if self.workers < 1 and self.workers != -1:
+            raise OutOfRange("workers", self.workers, "at least 1, or -1 for one per core")
+        check_range(self, "workers", low=-1, high=MOST_WORKERS)
 
     @property
     def count(self) -> int:
