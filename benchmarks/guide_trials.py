@@ -6,15 +6,15 @@ Objects are drawn from the folder; each begins 10-60 degrees from the goal. A tr
 seconds of the hand's time. The error is symmetry-aware. An interrupted run continues where it stopped.
 """
 
-import csv
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from growing_table import grow
 
 from reorient import load_estimator
 from reorient.cli.arguments import Positional, parse
@@ -23,16 +23,19 @@ from reorient.controller.guiding import Guide, GuideState
 from reorient.estimators.base import Estimator
 from reorient.estimators.tracking import Tracker
 from reorient.runs.provenance import commit
-from reorient.runs.run import Row, whole_lines
+from reorient.runs.run import Row
 from reorient.stations.rendered_hand import RenderedHand
-from reorient.world.objects import folder
+from reorient.world.objects import ObjectSource
 from reorient.world.rendering import load_world
 from reorient.world.sensing import randomised
 from reorient.world.symmetry import rotation_group, symmetric_error
 
 START_DEG = (10.0, 60.0)
 LONGEST_S = 60.0
-COLUMNS = ("trial", "object", "start_deg", "status", "seconds", "error_deg", "confidence", "losses", "images", "cpu_s")
+COLUMNS = (
+    *("trial", "object", "start_deg", "status", "seconds", "error_deg", "confidence", "losses", "images", "cpu_s"),
+    "commit",
+)
 
 
 @dataclass(frozen=True)
@@ -41,28 +44,19 @@ class Trials:
 
     out: Positional[Path]
     """File for the raw rows (.csv)."""
-    meshes: Path
-    """Folder of meshes."""
-    only: Path | None = None
-    """Names of the objects to use, one a line."""
+    objects: ObjectSource = field(default_factory=ObjectSource)
     trials: int = 100
     """Number of trials."""
     seed: int = 0
     """Seed of objects, poses and hands."""
-    minutes: float = 1e6
-    """Longest time."""
 
 
 def rows_of(config: Trials, done: int) -> Iterator[dict[str, Any]]:
     """The rows of the trials that are not done yet."""
-    objects = folder(config.meshes)
-    if config.only is not None:
-        objects = objects.only(config.only.read_text().split())
+    objects = config.objects.open()
     order = np.random.default_rng(config.seed).permutation(len(objects.names))
-    estimator, deadline = load_estimator(), time.monotonic() + 60 * config.minutes
+    estimator, version = load_estimator(), commit()
     for number in range(done, config.trials):
-        if time.monotonic() > deadline:
-            return
         name = objects.names[order[number % len(order)]]
         rng = np.random.default_rng([config.seed, number])
         start_deg = rng.uniform(*START_DEG)
@@ -78,7 +72,7 @@ def rows_of(config: Trials, done: int) -> Iterator[dict[str, Any]]:
                 (
                     *(number, name, f"{start_deg:.2f}", state.status, f"{state.time_s:.2f}"),
                     *(f"{np.degrees(error_rad):.4f}", "" if state.confidence is None else f"{state.confidence:.4f}"),
-                    *(log.trial.losses, state.index + 1, f"{time.process_time() - begin:.2f}"),
+                    *(log.trial.losses, state.index + 1, f"{time.process_time() - begin:.2f}", version),
                 ),
                 strict=True,
             )
@@ -98,17 +92,7 @@ def _trial(hand: RenderedHand, estimator: Estimator) -> tuple[GuideState, GuideL
 
 def measure(config: Trials) -> list[Row]:
     """All rows, those of an earlier run of the same file included."""
-    lines = whole_lines(config.out)
-    with config.out.open("a", newline="") as file:
-        writer = csv.DictWriter(file, (*COLUMNS, "commit"))
-        if not lines:
-            writer.writeheader()
-        for row in rows_of(config, max(len(lines) - 1, 0)):
-            writer.writerow(row | {"commit": commit()})
-            file.flush()
-            print(f"trial {row['trial']}: {row['status']}, {row['error_deg']} deg", end="\r", file=sys.stderr)
-    with config.out.open(newline="") as file:
-        return list(csv.DictReader(file))
+    return grow(config.out, COLUMNS, lambda rows: rows_of(config, len(rows)), "trial")
 
 
 def main(config: Trials) -> None:

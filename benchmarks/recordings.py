@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from growing_table import grow
 from jaxtyping import Float
 from scipy.stats import binomtest
 
@@ -29,7 +30,7 @@ from reorient.cli.arguments import Positional, parse
 from reorient.errors import ReorientError
 from reorient.estimators.base import Estimator, as_estimate
 from reorient.runs.provenance import commit
-from reorient.runs.run import Row, whole_lines
+from reorient.runs.run import Row
 
 COLUMNS = (
     *("recording", "current", "goal", "angle_deg", "estimator", "pivot", "error_deg", "confidence"),
@@ -135,20 +136,8 @@ def _measured(recording: Recording, current: int, goal: int, estimator: Estimato
 
 def measure(config: Recordings) -> list[Row]:
     """All rows, those of an earlier run of the same file included."""
-    lines = whole_lines(config.out)
-    done = {
-        tuple(row[x] for x in ("recording", "current", "goal", "estimator", "pivot")) for row in csv.DictReader(lines)
-    }
-    with config.out.open("a", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS, restval="")
-        if not lines:
-            writer.writeheader()
-        for count, row in enumerate(rows_of(config, done), start=1):
-            writer.writerow(row)
-            file.flush()
-            print(f"{count} rows", end="\r", file=sys.stderr)
-    with config.out.open(newline="") as file:
-        return list(csv.DictReader(file))
+    key = ("recording", "current", "goal", "estimator", "pivot")
+    return grow(config.out, COLUMNS, lambda rows: rows_of(config, {tuple(row[x] for x in key) for row in rows}))
 
 
 HEAD = (

@@ -8,15 +8,15 @@ object is lost. ``state``: ``tracked``, ``lost``, or ``searched`` where an estim
 Time is processor time of the one thread. An interrupted run continues where it stopped.
 """
 
-import csv
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from growing_table import grow
 from scipy.stats import binomtest
 from tracking_sequences import KINDS, Frame
 from tracking_sequences import Sequence as Images
@@ -27,8 +27,8 @@ from reorient.errors import ReorientError
 from reorient.estimators.base import Estimator
 from reorient.estimators.tracking import Tracker
 from reorient.runs.provenance import commit
-from reorient.runs.run import Row, whole_lines
-from reorient.world.objects import folder
+from reorient.runs.run import Row
+from reorient.world.objects import ObjectSource
 
 COLUMNS = (
     *("sequence", "object", "kind", "image", "event", "there", "angle_deg", "state", "error_deg", "confidence"),
@@ -43,10 +43,7 @@ class Measure:
 
     out: Positional[Path]
     """File for the raw rows (.csv)."""
-    meshes: Path
-    """Folder of meshes."""
-    only: Path | None = None
-    """Names of the objects to use, one a line."""
+    objects: ObjectSource = field(default_factory=ObjectSource)
     sequences: int = 100
     """Number of sequences; they take the kinds in turn."""
     images: int = 90
@@ -57,20 +54,14 @@ class Measure:
     """Every so many images of a plain sequence ``estimate`` is measured on the same image; 0: never."""
     seed: int = 0
     """Seed of the sequences."""
-    minutes: float = 1e6
-    """Longest time."""
 
 
 def rows_of(config: Measure, done: int) -> Iterator[dict[str, Any]]:
     """The rows of the sequences that are not done yet."""
-    objects = folder(config.meshes)
-    if config.only is not None:
-        objects = objects.only(config.only.read_text().split())
+    objects = config.objects.open()
     order = np.random.default_rng(config.seed).permutation(len(objects.names))
-    estimator, version, deadline = load_estimator(), commit(), time.monotonic() + 60 * config.minutes
+    estimator, version = load_estimator(), commit()
     for number in range(done, config.sequences):
-        if time.monotonic() > deadline:
-            return
         name, kind = objects.names[order[number % len(order)]], KINDS[number % len(KINDS)]
         images = Images(objects, name, kind, config.seed + number, config.images, config.fps)
         tracker = Tracker(estimator, images.goal)
@@ -111,19 +102,11 @@ def _estimated(estimator: Estimator, images: Images, frame: Frame) -> dict[str, 
 
 def measure(config: Measure) -> list[Row]:
     """All rows, those of an earlier run of the same file included."""
-    lines = whole_lines(config.out)
-    rows = list(csv.DictReader(lines))
-    done = 1 + max((int(row["sequence"]) for row in rows), default=-1)
-    with config.out.open("a", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS, restval="")
-        if not lines:
-            writer.writeheader()
-        for row in rows_of(config, done):
-            writer.writerow(row)
-            file.flush()
-            print(f"sequence {row['sequence']}", end="\r", file=sys.stderr)
-    with config.out.open(newline="") as file:
-        return list(csv.DictReader(file))
+
+    def more(rows: list[Row]) -> Iterator[dict[str, Any]]:
+        return rows_of(config, 1 + max((int(row["sequence"]) for row in rows), default=-1))
+
+    return grow(config.out, COLUMNS, more, "sequence")
 
 
 def summarise(rows: Sequence[Row]) -> str:

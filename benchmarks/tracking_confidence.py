@@ -4,14 +4,14 @@
     python benchmarks/tracking_confidence.py out/tracking.npz --write src/reorient/estimators/tracking.json
 
 The first command tracks simulated sequences, without estimates, from the true motion or, in every sixth sequence, again
-and again from a wrong one; it appends features and labels (right: the object is there, and the error is below 5
-degrees). The second fits, cross-validated over sequences, and writes the weights.
+and again from a wrong one, and collects features and labels (right: the object is there, and the error is below 5
+degrees). Both fit, cross-validated over sequences; the second writes the weights. What a missing prediction takes off
+is not fitted (``missing_log_odds``).
 """
 
 import json
 import sys
-import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
@@ -21,10 +21,10 @@ from tracking_sequences import KINDS, Frame, Sequence
 from reorient import so3
 from reorient.cli.arguments import Positional, parse
 from reorient.errors import ReorientError
-from reorient.estimators.tracking import fit, problem_of
+from reorient.estimators.tracking import fit, missing_log_odds, problem_of, seen_share
 from reorient.estimators.verifier import FEATURES, features
 from reorient.registration import DepthView, Hypotheses
-from reorient.world.objects import folder
+from reorient.world.objects import ObjectSource
 
 OWN = ("angle", "rotation uncertainty", "shift uncertainty", "returns")
 USED = [
@@ -34,20 +34,15 @@ USED = [
 
 @dataclass(frozen=True)
 class Fit:
-    """Collect features of tracked hypotheses, or fit the confidence."""
+    """Collect features of tracked hypotheses, and fit the confidence."""
 
     data: Positional[Path]
-    """File of the features (.npz)."""
-    meshes: Path | None = None
-    """Folder of meshes: collects."""
-    only: Path | None = None
-    """Names of the objects to use, one a line."""
+    """File of the features (.npz); collected where it is missing."""
+    objects: ObjectSource = field(default_factory=ObjectSource)
     sequences: int = 300
     """Number of sequences."""
     first: int = 0
     """Number of the first sequence."""
-    minutes: float = 10.0
-    """Longest time of collecting."""
     write: Path | None = None
     """File of the weights to write."""
     strength: float = 0.01
@@ -55,15 +50,9 @@ class Fit:
 
 
 def collect(config: Fit) -> None:
-    assert config.meshes is not None
-    objects = folder(config.meshes)
-    if config.only is not None:
-        objects = objects.only(config.only.read_text().split())
+    objects = config.objects.open()
     kinds, rows, labels = (*KINDS, "wrong"), [], []
-    deadline = time.monotonic() + 60 * config.minutes
     for number in range(config.first, config.first + config.sequences):
-        if time.monotonic() > deadline:
-            break
         kind = kinds[number % len(kinds)]
         name = objects.names[number * 37 % len(objects.names)]
         sequence = Sequence(objects, name, "plain" if kind == "wrong" else kind, 1000 + number, 60)
@@ -81,7 +70,7 @@ def collect(config: Fit) -> None:
             settled = not (kind == "wrong" and frame.index % 10 < 3)
             if settled:
                 rows.append(features(problem, motion)[0])
-                labels.append((number, frame.index, frame.there, error_deg))
+                labels.append((number, frame.index, frame.there, error_deg, seen_share(problem, motion)))
         print(f"{number}: {len(rows)} rows", end="\r", file=sys.stderr)
     np.savez(config.data, features=np.array(rows), labels=np.array(labels, float))
 
@@ -102,7 +91,7 @@ def fitted(config: Fit) -> None:
     from sklearn.preprocessing import StandardScaler
 
     with np.load(config.data) as arrays:
-        values, (number, _, there, error_deg) = arrays["features"], arrays["labels"].T
+        values, (number, _, there, error_deg, seen) = arrays["features"], arrays["labels"].T
     used = [FEATURES.index(name) for name in USED]
     right = (there == 1) & (error_deg < 5)
     scaler = StandardScaler().fit(values[:, used])
@@ -111,7 +100,7 @@ def fitted(config: Fit) -> None:
     for part in range(5):
         held = number % 5 == part
         model = LogisticRegression(C=config.strength, max_iter=2000).fit(scaled[~held], right[~held])
-        odds[held] = model.decision_function(scaled[held])
+        odds[held] = model.decision_function(scaled[held]) + [missing_log_odds(x) for x in seen[held]]
     print(f"{len(right)} images of {len(set(number))} sequences, {right.mean():.0%} right")
     print(f"right, but below 0.5: {np.mean(odds[right] < 0):.2%}")
     for name, group in (("swapped or hidden", there == 0), ("there, wrong", (there == 1) & ~right)):
@@ -130,11 +119,10 @@ def fitted(config: Fit) -> None:
 
 
 def main(config: Fit) -> None:
-    """Collect, or fit."""
-    if config.meshes is not None:
+    """Collect where there is no file yet; fit."""
+    if not config.data.is_file():
         collect(config)
-    else:
-        fitted(config)
+    fitted(config)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ from reorient.cli import main
 from reorient.errors import ReorientError
 from reorient.experiments.cell import run
 from reorient.experiments.cell_trials import Experiment, stage
-from reorient.reporting.cell import read_loops
+from reorient.reporting.cell_rows import read_loops
 
 SMALL = ["--objects", "1", "--trials", "1", "--count", "60"]
 

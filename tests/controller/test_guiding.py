@@ -185,6 +185,18 @@ def test_another_file_is_not_overwritten(tmp_path):
     assert COLUMNS[0] == "date"
 
 
+@pytest.mark.parametrize("left", [0, -5])
+def test_half_a_line_begins_no_other(tmp_path, left):
+    """Of a full disk: an empty log, or one that ends within a line."""
+    path = tmp_path / "q.csv"
+    logged(path, states([12.0]))
+    path.write_bytes(path.read_bytes()[:left])
+    logged(path, states([12.0]))
+    rows = list(csv.DictReader(path.open(newline="")))
+    assert [row["result"] for row in rows] == ["not matched"]
+    assert rows[0]["losses"] == "0"
+
+
 def test_states_without_confidence(tmp_path):
     found = [replace(x, estimate=x.estimate and replace(x.estimate, confidence=None)) for x in states([0.2] * 6)]
     logged(tmp_path / "q.csv", found)

@@ -10,9 +10,9 @@ from reorient import so3
 from reorient.errors import ReorientError
 from reorient.estimators.base import RotationEstimate, with_evidence
 from reorient.estimators.rotation_search import RotationSearch
-from reorient.estimators.tracking import LOST_AFTER, RETRY_IMAGES, Tracker, track, twist
+from reorient.estimators.tracking import RETRY_IMAGES, Tracker, problem_of, seen_share, track, twist
 from reorient.imaging import DepthImage, Goal, GoalView
-from reorient.registration import DepthView
+from reorient.registration import DepthView, Hypotheses
 from reorient.world.rendering import Placement, Renderer, load_world
 from reorient.world.sensing import randomised, sense
 
@@ -156,9 +156,62 @@ def test_a_lost_object_is_flagged_within_three_images_and_found_again(scene, fau
         estimate = tracker.update(image)
         assert (estimate is None) == tracker.lost
         assert tracker.lost or k < 2
-    found = tracker.update(scene.image(about(12)))
+    found = [tracker.update(scene.image(about(12))) for _ in range(2)][-1]
     assert error_deg(found, about(12)) < 2
     assert not tracker.lost
+
+
+class Scripted(Counting):
+    """One that tracks to the estimates of a list."""
+
+    def __init__(self, answer, tracked):
+        super().__init__(answer)
+        self.tracked = iter(tracked)
+
+    def track(self, current, goal, previous):
+        return next(self.tracked)
+
+
+def test_a_doubt_that_comes_and_goes_is_a_loss_and_one_alone_is_none(scene):
+    sure, unsure = scene.truth(about(10)), replace(scene.truth(about(10)), confidence=0.1)
+    image = scene.image(about(10))
+    for confidences, lost in (((0.9, 0.1, 0.9, 0.9), False), ((0.2, 0.9, 0.2, 0.9), True)):
+        tracker = Tracker(Scripted(sure, [replace(sure, confidence=x) for x in confidences]), scene.goal)
+        tracker.update(image)
+        tracker.estimator.answer = unsure
+        for _ in confidences:
+            tracker.update(image)
+        assert tracker.lost == lost
+
+
+def test_a_leap_is_left_to_an_estimate(scene):
+    """A sure rotation 12 degrees away counts only where an estimate without initial guess agrees to be sure."""
+    near, far, image = scene.truth(about(10)), scene.truth(about(22)), scene.image(about(10))
+    tracker = Tracker(Scripted(near, [near, far, near, far, far, near]), scene.goal)
+    for _ in range(2):
+        tracker.update(image)
+    assert tracker.estimator.calls == 1
+    tracker.estimator.answer = found = scene.truth(about(24))
+    assert tracker.update(image) is found
+    tracker.estimator.answer = replace(near, confidence=0.1)
+    tracker.update(image)  # leaps back to 10 degrees
+    assert tracker.estimator.calls == 3
+    assert not tracker.lost
+    assert tracker.update(image) is far  # and is there again
+    tracker.update(image)
+
+
+def test_most_of_the_prediction_is_missing_where_little_of_the_object_is_left(scene):
+    image, R = scene.image(about(20)), about(20).T
+    motion = Hypotheses(R[None], (CENTER_M - R @ CENTER_M)[None])
+    columns = np.nonzero(image.valid)[1]
+    shares = []
+    for left in (1.0, 0.5, 0.1):
+        strip = np.arange(128) > np.quantile(columns, left)
+        part = DepthImage(np.where(strip, 0, image.depth_m), image.camera, unknown=np.tile(strip, (128, 1)))
+        shares.append(seen_share(problem_of(DepthView(part), DepthView(scene.goal)), motion))
+    assert shares[0] > 0.7
+    assert shares[0] > shares[1] + 0.2 > shares[2] + 0.4
 
 
 def test_searches_are_rare_while_the_object_is_lost(scene):
@@ -177,7 +230,7 @@ def test_after_a_jump_the_rotation_is_searched(scene):
     tracker.update(scene.image(about(40)))
     far = about(120, np.array([0.0, 1.0, 0.0]))
     tracker.estimator.answer = scene.truth(far)
-    estimates = [tracker.update(scene.image(far)) for _ in range(LOST_AFTER)]
+    estimates = [tracker.update(scene.image(far)) for _ in range(2)]
     assert tracker.estimator.calls == 2
     assert error_deg(estimates[-1], far) == 0
 
@@ -202,7 +255,7 @@ def test_an_image_without_the_object_is_lost_and_a_goal_without_one_refused(scen
     tracker = Tracker(Counting(scene.truth(about(10))), scene.goal)
     tracker.update(scene.image(about(10)))
     tracker.estimator.answer = replace(tracker.estimator.answer, confidence=0.1)
-    for _ in range(LOST_AFTER):
+    for _ in range(2):
         tracker.update(few)
     assert tracker.lost
     with pytest.raises(ReorientError, match="8 returns"):

@@ -17,8 +17,9 @@ from reorient.imaging import Camera, DepthImage, Isolation
 from reorient.perception.robot_calibration import RobotCalibration, write_robot_calibration
 from reorient.stations.robot_file import read_robot_file
 from reorient.stations.simulated import cell_of
+from reorient.viewing.box import box_in_frame
 from reorient.viewing.guide_view import GuideView
-from reorient.viewing.live import LiveStation, box_in_frame
+from reorient.viewing.live import LiveStation
 from reorient.viewing.robot_toml import write_isolation
 from reorient.viewing.viewer import Viewer
 

@@ -32,7 +32,8 @@ class Cell:
 
     def run(self) -> None:
         """Run all trials, print the summary, write the page and the animation."""
-        from reorient.reporting.cell import print_summary, write_cell_figures, write_cell_report
+        from reorient.reporting.cell import write_cell_figures, write_cell_report
+        from reorient.reporting.cell_rows import print_summary
 
         show_progress("trials", run(self.config, self.out, self.pool))
         print_summary(self.out)

@@ -4,6 +4,7 @@ import csv
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from reorient.controller.guiding import GuideState
 from reorient.errors import ReorientError
 from reorient.runs.files import writing
+from reorient.runs.run import whole_lines
 
 COLUMNS = ("date", "object", "result", "start_deg", "seconds", "final_deg", "confidence", "images", "losses")
 
@@ -88,12 +90,11 @@ class GuideLog:
             str(trial.images),
             str(trial.losses),
         )
-        new = not self._path.is_file()
+        new = not self._path.is_file() or not self._path.stat().st_size
+        text = StringIO(newline="")
+        csv.writer(text).writerows([*([COLUMNS] if new else []), cells])
         with writing(self._path), self._path.open("a", newline="", encoding="utf-8", errors="backslashreplace") as file:
-            writer = csv.writer(file)
-            if new:
-                writer.writerow(COLUMNS)
-            writer.writerow(cells)
+            file.write(text.getvalue())  # at once: whole lines, whenever the process is killed
 
 
 def _degrees(state: GuideState) -> float:
@@ -105,6 +106,7 @@ def _check(path: Path) -> None:
     if not path.parent.is_dir():
         raise ReorientError(f"no folder {str(path.parent)!r} for the log: expected an existing folder")
     if path.is_file():
-        first = path.read_text(encoding="utf-8", errors="replace").splitlines()[:1]
-        if first != [",".join(COLUMNS)]:
+        text = path.read_text(encoding="utf-8", errors="replace")
+        if text and text.splitlines()[0] != ",".join(COLUMNS):
             raise ReorientError(f"{str(path)!r} is no log of `reorient guide`: expected a new file, or one it wrote")
+        whole_lines(path)  # half a line, of a full disk, must not begin the next one

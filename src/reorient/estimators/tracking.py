@@ -2,11 +2,13 @@
 
 Each image is compared with the goal, never with the image before, so errors do not add up. Of several goal views the
 one that is nearest to the previous estimate is used. The confidence is a logistic function of the verifier's features
-of the one tracked hypothesis; ``benchmarks/tracking_confidence.py`` fits it. ``Tracker`` begins by an estimate without
-an initial guess, and does so again where the object is lost.
+of the one tracked hypothesis, and of how much is missing of what it predicts to be seen;
+``benchmarks/tracking_confidence.py`` fits it. ``Tracker`` begins by an estimate without an initial guess, and does so
+again where the object is lost or leapt.
 """
 
 import json
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
@@ -24,6 +26,7 @@ from reorient.estimators.verifier import FEATURES, features
 from reorient.imaging import DepthImage, Goal
 from reorient.imaging.goal import as_goal
 from reorient.registration import (
+    INLIER_TOLERANCE,
     DepthView,
     Hypotheses,
     PosedView,
@@ -33,6 +36,7 @@ from reorient.registration import (
     posed_views,
     refine,
 )
+from reorient.registration.hypotheses import rotate
 
 CONFIDENCE = Path(__file__).with_name("tracking.json")
 
@@ -59,11 +63,20 @@ class Tracking:
     """Depth difference of the inliers that measure the noise."""
     noise_factor: float = 4.0
     """The fine tolerances are at least this many residuals of the inliers."""
+    seen_points: int = 1000
+    """Goal points of which the prediction is made."""
+    seen_cosine: float = 0.25
+    """Between normal and line of sight, of a point that is predicted to be seen, at least."""
+    least_seen: float = 0.35
+    """A smaller share of the prediction that is seen lowers the confidence."""
+    missing_slope: float = 20.0
+    """By this much of the log-odds for each unit that is missing."""
 
 
 TRACKING = Tracking()
-LOST_BELOW = 0.5  # confidence
-LOST_AFTER = 2  # images in a row with less: one alone is often a false alarm
+LOST_BELOW = 0.5  # confidence, of an estimate or the mean of the latest images: one doubt alone is often a false alarm
+AVERAGED = 3  # latest images
+LEAP_RAD = float(np.radians(10))  # from one image to the next: the local refinement reaches no farther
 AGREES_RAD = float(np.radians(5))  # between a tracked rotation and the estimate that confirms it
 RETRY_IMAGES = 15  # while lost, the whole search is repeated after so many images; the local one at each
 
@@ -124,13 +137,32 @@ def twist(R: Float[np.ndarray, "3 3"], axis: Float[np.ndarray, "3"]) -> Float[np
 
 def confidence(problem: Problem, hypothesis: Hypotheses) -> float:
     """Probability that the error of a tracked hypothesis is below 5 degrees."""
-    return float(1 / (1 + np.exp(-log_odds(features(problem, hypothesis)[0]))))
+    odds = log_odds(features(problem, hypothesis)[0]) + missing_log_odds(seen_share(problem, hypothesis))
+    return float(1 / (1 + np.exp(-odds)))
 
 
 def log_odds(values: Float[np.ndarray, " f"]) -> float:
     """Of the verifier's features of the tracked hypothesis, that the error is below 5 degrees."""
     weights, bias = _logistic()
     return float(values @ weights + bias)
+
+
+def missing_log_odds(seen: float) -> float:
+    """What a small ``seen_share`` adds to the log-odds: nothing, or less."""
+    return -TRACKING.missing_slope * max(TRACKING.least_seen - seen, 0.0)
+
+
+def seen_share(problem: Problem, hypothesis: Hypotheses) -> float:
+    """Share of the goal points that the motion predicts to face the camera now and that are inliers there.
+
+    Where something hides the object, what is left of it may fit anywhere; then most of the prediction is missing.
+    """
+    motion = hypothesis.inverse.single()
+    x = motion.move(problem.goal.sample(TRACKING.seen_points))[0]
+    normal = rotate(motion.R, problem.goal.sample_normals(TRACKING.seen_points))[0]
+    facing = np.sum(normal * x, axis=0) < -TRACKING.seen_cosine * np.linalg.norm(x, axis=0)
+    found = problem.current.warp(x).inlier(INLIER_TOLERANCE * problem.diameter_m)
+    return float((facing & found).sum() / max(facing.sum(), 1))
 
 
 @cache
@@ -155,7 +187,9 @@ def _goal_views(goal: DepthImage | Goal) -> tuple[PosedView, ...]:
 class Tracker:
     """Tracks the rotation to one goal: local refinement, and an estimate without initial guess where that fails.
 
-    The object is lost at first, and after two images in a row with a confidence below 0.5.
+    The object is lost at first, and where the mean confidence of the latest three images is below 0.5. It is found by a
+    sure estimate, or where two images in a row are sure of what was tracked meanwhile. A leap of more than 10 degrees
+    from one image to the next is beyond the local refinement: an estimate without initial guess decides.
     """
 
     def __init__(self, estimator: Estimator, goal: DepthImage | Goal) -> None:
@@ -167,13 +201,10 @@ class Tracker:
         self._searched_goal: Any = goal if getattr(estimator, "several_views", False) else image
         self._track = getattr(estimator, "track", track)
         self._found: RotationEstimate | None = None  # the latest one of sufficient confidence
-        self._doubtful = LOST_AFTER
-        self._wait = 0
-
-    @property
-    def lost(self) -> bool:
+        self._confidences = deque([0.0] * AVERAGED, AVERAGED)  # of the latest images
+        self.lost = True
         """Whether the rotation is unknown."""
-        return self._doubtful >= LOST_AFTER
+        self._wait = 0
 
     @property
     def searches_next(self) -> bool:
@@ -186,16 +217,23 @@ class Tracker:
         Takes as long as ``estimate`` at first, and at every 15th image while the object is lost; else as ``track``.
         """
         tracked = self._tracked(image)
-        if tracked is not None and _is_sure(tracked):
-            return self.restart(tracked)
-        self._doubtful += 1
+        leapt = not self.lost and self._leapt(tracked)
+        if leapt and (found := self._searched(image)) is not None:
+            return found
+        self._confidences.append(0.0 if leapt else _confidence(tracked))
+        if tracked is not None and not leapt and _is_sure(tracked):
+            self._found = tracked
+        *_, before, now = self._confidences
+        mean = sum(self._confidences) / AVERAGED
+        self.lost = min(before, now) < LOST_BELOW if self.lost else mean < LOST_BELOW
         if not self.lost:
+            self._wait = 0
             return tracked
         self._wait -= 1
         if self._wait >= 0:
             return None
         self._wait = RETRY_IMAGES
-        return self._searched(image)
+        return None if leapt else self._searched(image)
 
     def confirm(self, image: DepthImage) -> RotationEstimate | None:
         """An estimate of the latest image without initial guess; None unless it is sure and agrees with the tracked.
@@ -211,8 +249,16 @@ class Tracker:
 
     def restart(self, estimate: RotationEstimate) -> RotationEstimate:
         """Track on from this estimate, which is returned."""
-        self._found, self._doubtful, self._wait = estimate, 0, 0
+        self._found, self._wait, self.lost = estimate, 0, False
+        self._confidences.extend([_confidence(estimate)] * AVERAGED)
         return estimate
+
+    def _leapt(self, tracked: RotationEstimate | None) -> bool:
+        """Whether more lies between this and the latest sure rotation than the local refinement reaches."""
+        if tracked is None or self._found is None:
+            return False
+        away_rad = so3.angle_difference(tracked.R_goal_current, self._found.R_goal_current)
+        return bool(away_rad > LEAP_RAD)
 
     def _tracked(self, image: DepthImage) -> RotationEstimate | None:
         """The local refinement; None where there is nothing to refine, or nothing to see."""
@@ -233,6 +279,13 @@ class Tracker:
         return self.restart(estimate) if _is_sure(estimate) else None
 
 
+def _confidence(estimate: RotationEstimate | None) -> float:
+    """Of a rotation, 0 of none; an estimator without confidence is trusted until ``track`` doubts it."""
+    if estimate is None:
+        return 0.0
+    return 1.0 if estimate.confidence is None else estimate.confidence
+
+
 def _is_sure(estimate: RotationEstimate) -> bool:
-    """Whether the rotation counts as known; an estimator without confidence is trusted until ``track`` doubts it."""
-    return estimate.confidence is None or estimate.confidence >= LOST_BELOW
+    """Whether the rotation counts as known."""
+    return _confidence(estimate) >= LOST_BELOW

@@ -3,7 +3,6 @@
 A subscriber of the guide. Only the latest state is drawn, by a thread of the view: a slow browser delays nothing.
 """
 
-import threading
 from itertools import pairwise
 
 import numpy as np
@@ -11,7 +10,6 @@ import numpy as np
 from reorient import so3
 from reorient.controller.guiding import GuideState
 from reorient.imaging import DepthImage
-from reorient.plugins import LOGGER
 from reorient.reporting.scenes import at_most
 from reorient.viewing.showing import (
     AXIS,
@@ -19,12 +17,10 @@ from reorient.viewing.showing import (
     GOAL,
     LOOPBACK,
     PORT,
+    View,
     add_cloud,
-    address,
     look_at,
     plain,
-    serve,
-    stop,
 )
 
 NEAR_DEG = 10.0  # the bar is yellow below this, red above
@@ -33,14 +29,14 @@ _MOST_PX = 96
 _ARC = 24  # pieces of the arrow
 
 
-class GuideView:
+class GuideView(View):
     """The ghost of the goal over the object as it is, an arrow of the rotation that remains, its angle, a bar."""
 
     def __init__(
         self, goal: DepthImage, title: str, tolerance_deg: float, host: str = LOOPBACK[0], port: int = PORT
     ) -> None:
         """Raises ReorientError where the extra ``view`` is not installed."""
-        self.server = serve(title, host, port)
+        super().__init__(title, host, port)
         self._goal, self._tolerance_deg = at_most(goal, _MOST_PX), tolerance_deg
         self._middle_m, self._radius_m = look_at(self.server, self._goal)
         gui = self.server.gui
@@ -51,38 +47,17 @@ class GuideView:
         add_cloud(self.server.scene, "/ghost/points", self._goal, np.array(GOAL))
         self.drawn = 0
         """Number of states drawn so far."""
-        self._new, self._open = threading.Event(), True
-        self._state: GuideState | None = None
-        self._worker = threading.Thread(target=self._work, name="reorient guide view", daemon=True)
-        self._worker.start()
-
-    @property
-    def address(self) -> str:
-        """Of the view, for a browser."""
-        return address(self.server)
+        self._latest: GuideState | None = None
 
     def __call__(self, state: GuideState) -> None:
         """Show a state soon, in place of any that is not shown yet."""
-        self._state = state
-        self._new.set()
+        self._latest = state
+        self._inbox.put(state)
 
-    def close(self) -> None:
-        """Draw the last state and end the view."""
-        self._open = False
-        self._new.set()
-        self._worker.join()
-        stop(self.server)
-
-    def _work(self) -> None:
-        while self._open or self._state is not None:
-            self._new.wait()
-            self._new.clear()
-            state, self._state = self._state, None
-            if state is not None:
-                try:
-                    self._draw(state)
-                except Exception:  # whatever fails here must not end the view, nor reach the guide
-                    LOGGER.exception("the view cannot show image %d", state.index)
+    def _draw_new(self, state: GuideState) -> None:
+        """Draw the latest state alone."""
+        if state is self._latest:
+            self._draw(state)
 
     def _draw(self, state: GuideState) -> None:
         scene, estimate = self.server.scene, state.estimate

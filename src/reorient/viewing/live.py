@@ -14,11 +14,14 @@ from reorient.controller import Limits, Step, orient
 from reorient.estimators import load_estimator
 from reorient.estimators.base import as_estimate
 from reorient.imaging import DepthImage, Isolation
-from reorient.imaging.files import read_depth, write_depth
+from reorient.imaging.files import write_depth
+from reorient.imaging.goal_files import read_goal
 from reorient.plugins import USER_ERRORS, in_words
 from reorient.reporting.inputs import coloured
 from reorient.stations.robot import RobotStation, around_pivot
 from reorient.stations.robot_file import read_robot_file
+from reorient.viewing.asking import Asking
+from reorient.viewing.box import box_in_frame
 from reorient.viewing.robot_toml import write_isolation
 from reorient.viewing.viewer import Viewer
 
@@ -26,28 +29,6 @@ FRAME_S = 0.3  # between two live frames
 LIMITS = Limits(max_step_rad=float(np.radians(45)), max_rotation_rad=float(np.radians(720)))
 """As of ``reorient orient`` for a station of the user's own; each move is asked for besides."""
 _GREY = (120, 126, 136)
-
-
-class Asking:
-    """A station whose every move waits for an answer; a no ends the loop as the keyboard does."""
-
-    def __init__(self, station: Any, ask: Callable[[Float[np.ndarray, "3 3"]], bool]) -> None:
-        self._station, self._ask = station, ask
-        self.moving = False
-
-    def rotate(self, R_step: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-        """The station's move, once it is allowed. Raises KeyboardInterrupt where it is not."""
-        if not self._ask(R_step):
-            raise KeyboardInterrupt
-        self.moving = True
-        try:
-            R: Float[np.ndarray, "3 3"] = self._station.rotate(R_step)
-        finally:
-            self.moving = False
-        return R
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._station, name)
 
 
 class LiveStation:
@@ -76,7 +57,7 @@ class LiveStation:
     def first_goal(self) -> DepthImage:
         """The goal image; where there is none yet, what the camera sees."""
         if self._goal_path.is_file():
-            return read_depth(self._goal_path)
+            return read_goal(self._goal_path).image
         try:
             return self._isolate(self.raw)
         except USER_ERRORS:
@@ -128,8 +109,8 @@ class LiveStation:
 
     def estimate(self) -> None:
         """Estimate the rotation from what the camera sees."""
-        goal, image = read_depth(self._goal_path), self._isolate(self.capture())
-        estimate = as_estimate(self._estimator.estimate(image, goal), image, goal)
+        goal, image = read_goal(self._goal_path), self._isolate(self.capture())
+        estimate = as_estimate(self._estimator.estimate(image, goal), image, goal.image)
         self._viewer(Step(self._steps, image, estimate, message="estimated by hand"))
         self._steps += 1
 
@@ -162,13 +143,13 @@ class LiveStation:
         self._viewer.say(f"isolation written to {self._file.path}")
 
     def _loop(self, limits: Limits) -> None:
-        goal = read_depth(self._goal_path)
+        goal = read_goal(self._goal_path)
         if self._station is None:
             calibration = self._file.read_calibration()
             arm = self._file.open_arm(calibration.p_tool_object_m)
             self._station = RobotStation(self, arm, calibration, self._isolate)
         self._stopped, self._steps = False, 0
-        self._viewer.show_goal(goal)
+        self._viewer.show_goal(goal.image)
         self._asking = Asking(self._station, self._ask)
         result = orient(self._asking, goal, self._estimator, limits=limits, subscribers=[self._viewer])
         self._steps = len(result.steps)
@@ -267,21 +248,3 @@ class LiveStation:
             box = box_in_frame(raw, camera, np.array(event.screen_min), np.array(event.screen_max))
             self._set(box_px=box)
             self._viewer.say("the rectangle holds no point of the frame" if box is None else f"box of {box} px")
-
-
-def box_in_frame(
-    raw: DepthImage, eye: Any, low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"]
-) -> tuple[int, int, int, int] | None:
-    """The box, in pixels of the frame, around the returns that a browser shows within a rectangle; None: there are
-    none. ``eye``: wxyz, position, fov and aspect of the browser's camera; ``low``, ``high``: corners, from 0 to 1."""
-    R_world_eye = so3.matrix_from_quat(so3.normalize(np.asarray(eye.wxyz, float)))
-    x, y, z = ((raw.points() - np.asarray(eye.position)) @ R_world_eye).T
-    half = np.tan(eye.fov / 2)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        screen = np.stack([x / z / (half * eye.aspect), y / z / half], axis=-1) / 2 + 0.5
-    inside = (z > 0) & np.all((screen >= low) & (screen <= high), axis=-1)
-    if not inside.any():
-        return None
-    rows, columns = (each[inside] for each in np.nonzero(raw.valid))
-    left, top = int(columns.min()), int(rows.min())
-    return left, top, int(columns.max()) + 1 - left, int(rows.max()) + 1 - top

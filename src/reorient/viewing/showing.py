@@ -1,5 +1,7 @@
 """What the views of a browser share: the server, clouds, images and texts in the form that it takes."""
 
+import queue
+import threading
 from contextlib import redirect_stdout
 from io import StringIO
 from typing import Any
@@ -8,7 +10,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from reorient.imaging import DepthImage
-from reorient.plugins import import_extra
+from reorient.plugins import LOGGER, import_extra
 from reorient.reporting.pictures import shade
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
@@ -29,15 +31,44 @@ def serve(title: str, host: str, port: int) -> Any:
     return server
 
 
-def stop(server: Any) -> None:
-    """End a server in silence."""
-    with redirect_stdout(StringIO()):
-        server.stop()
+class View:
+    """A server of views, and a thread that draws what is put into it: whoever puts waits for nothing."""
 
+    def __init__(self, title: str, host: str, port: int) -> None:
+        """Raises ReorientError where the extra ``view`` is not installed."""
+        self.server = serve(title, host, port)
+        self._inbox: queue.Queue[Any] = queue.Queue()
+        self._worker = threading.Thread(target=self._work, name=f"reorient view {title}", daemon=True)
+        self._worker.start()
 
-def address(server: Any) -> str:
-    """Where a browser finds a server."""
-    return f"http://{server.get_host()}:{server.get_port()}"
+    @property
+    def address(self) -> str:
+        """Of the view, for a browser."""
+        return f"http://{self.server.get_host()}:{self.server.get_port()}"
+
+    def wait(self) -> None:
+        """Wait until all that was put is drawn."""
+        self._inbox.join()
+
+    def close(self) -> None:
+        """Draw what was put, and end the view."""
+        self._inbox.put(None)
+        self._worker.join()
+        with redirect_stdout(StringIO()):  # in silence
+            self.server.stop()
+
+    def _draw_new(self, new: Any) -> None:
+        """Draw what was put; the thread calls it."""
+        raise NotImplementedError
+
+    def _work(self) -> None:
+        while (new := self._inbox.get()) is not None:
+            try:
+                self._draw_new(new)
+            except Exception:  # whatever fails here must not end the view, nor reach what is viewed
+                LOGGER.exception("the view cannot show image %d", new.index)
+            finally:
+                self._inbox.task_done()
 
 
 def look_at(server: Any, image: DepthImage) -> tuple[np.ndarray, float]:

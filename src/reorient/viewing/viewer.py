@@ -4,7 +4,6 @@ It is a subscriber of the loop. Steps are only put into a queue; a thread of the
 waits for nothing that a browser does. All browsers show the same.
 """
 
-import queue
 import threading
 from dataclasses import dataclass
 
@@ -14,7 +13,6 @@ from reorient import so3
 from reorient.controller import Step
 from reorient.formatting import format_probability, format_share
 from reorient.imaging import DepthImage
-from reorient.plugins import LOGGER
 from reorient.registration import DepthView
 from reorient.reporting.scenes import CLASSES, Compared, Hypothesis, at_most
 from reorient.se3 import Transform
@@ -26,14 +24,12 @@ from reorient.viewing.showing import (
     IMAGE_PX,
     LOOPBACK,
     PORT,
+    View,
     add_cloud,
-    address,
     look_at,
     picture,
     plain,
     point_m,
-    serve,
-    stop,
 )
 
 _GHOST_SCALE = 0.45
@@ -50,7 +46,7 @@ class _Shown:
     hypotheses: list[Hypothesis]
 
 
-class Viewer:
+class Viewer(View):
     """The view of one goal. ``viewer(step)`` adds a step, as the subscribers of ``orient`` do."""
 
     def __init__(
@@ -65,20 +61,12 @@ class Viewer:
 
         Raises ReorientError where the extra ``view`` is not installed.
         """
-        self.server = serve(title, host, port)
+        super().__init__(title, host, port)
         self._lock = threading.RLock()
         self._steps: list[_Shown] = []
-        self._inbox: queue.SimpleQueue[Step | None] = queue.SimpleQueue()
         self._T_camera_base = T_camera_base
         self._gui()
         self.show_goal(goal)
-        self._worker = threading.Thread(target=self._work, name="reorient view", daemon=True)
-        self._worker.start()
-
-    @property
-    def address(self) -> str:
-        """Of the view, for a browser."""
-        return address(self.server)
 
     def __call__(self, step: Step) -> None:
         """Show a step."""
@@ -99,20 +87,8 @@ class Viewer:
             self._middle_m, self._radius_m = look_at(self.server, self.goal)
             self._draw_fixed()
 
-    def wait(self) -> None:
-        """Wait until all steps that were added are drawn."""
-        while not self._inbox.empty() or self._busy:
-            self._idle.wait(0.05)
-
-    def close(self) -> None:
-        """End the view."""
-        self._inbox.put(None)
-        self._worker.join()
-        stop(self.server)
-
     def _gui(self) -> None:
         gui = self.server.gui
-        self._idle, self._busy = threading.Event(), False
         self._status = gui.add_markdown("")
         self._scrub = gui.add_slider("step", min=0, max=1, step=1, initial_value=0, disabled=True)
         self._follow = gui.add_checkbox("follow the loop", initial_value=True)
@@ -134,21 +110,8 @@ class Viewer:
         for each in (self._colour, self._choice, *self._boxes.values()):
             each.on_update(lambda _: self._draw())
 
-    def _work(self) -> None:
-        while (step := self._next()) is not None:
-            try:
-                self._add(step)
-            except Exception:  # whatever fails here must not end the view, nor reach the loop
-                LOGGER.exception("the view cannot show step %d", step.index)
-            finally:
-                self._busy = False
-
-    def _next(self) -> Step | None:
-        step = self._inbox.get()
-        self._busy = True
-        return step
-
-    def _add(self, step: Step) -> None:
+    def _draw_new(self, step: Step) -> None:
+        """Add a step to those shown."""
         known = [shown for shown in self._steps if shown.step.image is step.image]
         if known:  # the same step after its move: only its words change
             with self._lock:

@@ -42,7 +42,7 @@ class Chart {
     this.keys = element("ul", { class: "keys" });
     const scale = (log) => element("button", { type: "button", "aria-pressed": String(this.y.log === log), onclick: () => this.rescale(log) }, log ? "logarithmic" : "linear");
     this.buttons = element("div", { class: "row scales", role: "group", "aria-label": "error axis" }, ...(scales ? [scale(true), scale(false)] : []));
-    this.root = element("div", { class: "chart" }, element("div", { class: "row" }, this.keys, this.buttons), this.svg, this.named);
+    this.root = element("div", { class: "chart" }, element("h3", {}, title), element("div", { class: "row" }, this.keys, this.buttons), this.svg, this.named);
     this.svg.addEventListener("pointermove", (event) => this.nearest(event));
     this.svg.addEventListener("click", (event) => { this.nearest(event); this.open(); });
     this.svg.addEventListener("keydown", (event) => this.key(event));

@@ -109,7 +109,7 @@ async function evaluation({ columns, names, pairs, classes, bins, command }) {
     }
     const sorted = shown.sort((a, b) => (order.value === "best" ? 1 : -1) * (columns.error[a] - columns.error[b])).slice(0, 40);
     table.replaceChildren(...sorted.map((row) => element("tr", {}, element("td", {}, element("button", { type: "button", "aria-label": `open ${name(row)}`, onclick: () => (location.hash = `row=${row}`) }, pairs[columns.key[row]] ? "open" : "numbers")),
-      element("td", { class: "word" }, `${names.object[columns.object[row]]}, ${columns.pair[row]}`), element("td", { class: "word" }, names.estimator[columns.estimator[row]]),
+      element("td", { class: "word name" }, `${names.object[columns.object[row]]}, ${columns.pair[row]}`), element("td", { class: "word" }, names.estimator[columns.estimator[row]]),
       ...[names.noise[columns.noise[row]], degrees(columns.angle[row]), degrees(columns.plain[row]), degrees(columns.error[row]), columns.confidence[row] === null ? "–" : percent(columns.confidence[row])].map((cell) => element("td", {}, cell)))));
   }
   async function open() {
