@@ -1,74 +1,85 @@
-# Everything runs in .venv, which each target makes itself with python3 and pip alone.
+# Everything runs in .venv, which each target makes itself with python3 and pip alone. The programs there are run by
+# "python -m", as scripts do not start in a folder whose path has a space.
 PYTHON ?= python3
 BIN := .venv/bin
+PIP := -m pip install --disable-pip-version-check
 
-.PHONY: demo demo-robot readme-picture demo-cell test test-slow test-train test-cell test-peers test-robot test-view fuzz lint clean
+.PHONY: demo demo-robot readme-picture demo-cell test test-base test-slow test-train test-cell test-peers test-robot test-view fuzz lint dist clean
 
-demo: .venv/base
-	$(BIN)/reorient demo --out out/demo
+demo: .venv/sim
+	$(BIN)/python -m reorient demo --out out/demo
 
 readme-picture: demo
 	cp out/demo/loop.gif docs/demo.gif
 
 test: .venv/dev
-	$(BIN)/pytest -n auto -m "not slow"
+	$(BIN)/python -m pytest -n auto -m "not slow"
+
+test-base:  # size, import time and first result of the install without extras
+	$(PYTHON) benchmarks/install_size.py out/base
 
 test-slow: .venv/dev
-	$(BIN)/pytest -n auto -m slow
+	$(BIN)/python -m pytest -n auto -m slow
 
 test-train: .venv/train
-	$(BIN)/pytest tests/train
+	$(BIN)/python -m pytest tests/train
 
 demo-robot: .venv/robot/ready
 	.venv/robot/bin/python benchmarks/franka_loops.py out/robot
 
 demo-cell: .venv/cell
-	$(BIN)/reorient cell out/cell --objects 3 --trials 1
+	$(BIN)/python -m reorient cell out/cell --objects 3 --trials 1
 
 test-cell: .venv/cell
-	$(BIN)/pytest tests/cell
+	$(BIN)/python -m pytest tests/cell
 
 test-peers: .venv/peers
-	$(BIN)/pytest tests/peers
+	$(BIN)/python -m pytest tests/peers
 
 test-robot: .venv/robot/ready
-	.venv/robot/bin/pytest tests/robot
+	.venv/robot/bin/python -m pytest tests/robot
 
 lint: .venv/dev
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
-	$(BIN)/mypy
+	$(BIN)/python -m ruff check .
+	$(BIN)/python -m ruff format --check .
+	$(BIN)/python -m mypy
 
 test-view: .venv/view
-	$(BIN)/pytest tests/view
+	$(BIN)/python -m pytest tests/view
 
 # Mutated files for every reader: make fuzz COUNT=5000 for a hundred thousand inputs.
 COUNT ?= 500
 fuzz: .venv/train
 	PYTHONPATH=benchmarks $(BIN)/python benchmarks/fuzz.py --count $(COUNT)
 
-.venv/base: pyproject.toml
-	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
-	touch $@
+dist: .venv/dev
+	rm -rf dist
+	$(BIN)/python -m hatchling build --directory dist
 
-# The other environments add extras to the base.
+.venv/made:
+	@echo "Making a Python environment in .venv ..."
+	$(PYTHON) -m venv .venv
+	@touch $@
+
+EXTRAS_sim := sim
 EXTRAS_dev := dev
 EXTRAS_train := dev,train,cluster,s3,s3-tests
 EXTRAS_cell := dev,cell
 EXTRAS_peers := dev,peers
 EXTRAS_view := dev,view,view-tests
 
-.venv/%: .venv/base
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[$(EXTRAS_$*)]'
-	touch $@
+.venv/%: pyproject.toml | .venv/made
+	@echo "Installing reorient[$(EXTRAS_$*)] into .venv, once; this takes a minute or more ..."
+	$(BIN)/python $(PIP) --editable '.[$(EXTRAS_$*)]'
+	@touch $@
 
 # An environment of its own: the wheels of ROS start each Python of theirs anew, with another library path.
 .venv/robot/ready: pyproject.toml
+	@echo "Making a Python environment in $(@D) ..."
 	$(PYTHON) -m venv $(@D)
-	$(@D)/bin/python -m pip install --quiet --disable-pip-version-check \
+	$(@D)/bin/python $(PIP) \
 		--editable '.[dev,realsense,franka,franka-sim,ur,abb,ros2]'
 	touch $@
 
 clean:
-	rm -rf .venv out
+	rm -rf .venv out dist

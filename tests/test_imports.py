@@ -4,16 +4,31 @@ import ast
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
 
+from reorient.extras import LIBRARIES
+
 SOURCE = Path(__file__).parent.parent / "src" / "reorient"
 
 # A package (or top-level module) imports only those listed before it.
 ORDER = [
-    *("errors", "formatting", "so3", "se3", "plugins", "runs", "imaging", "world", "registration", "estimators"),
+    *(
+        "errors",
+        "extras",
+        "formatting",
+        "so3",
+        "se3",
+        "plugins",
+        "runs",
+        "imaging",
+        "world",
+        "registration",
+        "estimators",
+    ),
     *("controller", "perception", "stations", "learning", "experiments", "reporting", "reproducing", "viewing"),
     *("cli", "__main__"),
     "",  # the package itself
@@ -28,6 +43,9 @@ UNREACHABLE = {
 }
 
 
+parsed = cache(ast.parse)
+
+
 def package_of(module: str) -> str:
     return module.split(".")[0]
 
@@ -39,7 +57,7 @@ def within(module: str, prefix: str) -> bool:
 def imports(name: str, sources: dict[str, str], everywhere: bool = True) -> Iterator[str]:
     """Modules of the package that a file imports; ``everywhere``: inside functions, too. Keys: "stations/__init__"."""
     package = name.split("/")[:-1]
-    tree = ast.parse(sources[name])
+    tree = parsed(sources[name])
     for node in ast.walk(tree) if everywhere else tree.body:
         if isinstance(node, ast.Import):
             targets = [alias.name for alias in node.names]
@@ -185,6 +203,90 @@ def test_planted_violations_are_found(name, line, message):
         sources["controller/arrival"] += "\nimport reorient.estimators.base"
     found = violations(sources)
     assert any(message in sentence for sentence in found), found
+
+
+# Packages and modules that are imported only where an extra is installed; of these, what the base install needs.
+WITH_EXTRAS = {
+    "cli": ("cell", "evaluating", "learning", "loops", "objects", "progress", "reproducing", "verifier"),
+    "estimators": ("icp",),
+    "experiments": (),
+    "learning": (),
+    "perception": ("filling", "frame", "recalibration", "segmentation"),
+    "reporting": (),
+    "reproducing": (),
+    "stations": ("cell", "faulty_cell", "franka_cell", "rendered", "rendered_hand", "simulated"),
+    "world": (),
+}
+IN_BASE = {"learning.recipes"} | {f"reporting.{name}" for name in ("explaining", "inputs", "loop", "page", "pictures")}
+
+
+def needs_extras(module: str) -> bool:
+    package, _, rest = module.partition(".")
+    some = WITH_EXTRAS.get(package)
+    inside = some is not None and bool(rest) and (not some or any(within(rest, prefix) for prefix in some))
+    return inside and module not in IN_BASE
+
+
+def libraries(name: str, sources: dict[str, str]) -> set[str]:
+    """The libraries beyond the standard one that a file imports when it is imported itself."""
+    found = set()
+    for node in parsed(sources[name]).body:
+        if isinstance(node, ast.Import):
+            found |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and not node.level and node.module:
+            found.add(node.module.split(".")[0])
+    return found - sys.stdlib_module_names - {"reorient"}
+
+
+def loaded(name: str, sources: dict[str, str]) -> dict[str, str]:
+    """Every library that is imported with a file, with the file that imports it."""
+    found: dict[str, str] = {}
+    open_files, done = [name], set[str]()
+    while open_files:
+        file = open_files.pop()
+        if file in done:
+            continue
+        done.add(file)
+        found |= {library: file for library in libraries(file, sources) if library not in found}
+        for module in {file.replace("/", ".").removesuffix(".__init__"), *imports(file, sources, everywhere=False)}:
+            path = module.split(".")
+            parts = (file_of(".".join(path[:n]), sources) for n in range(1, len(path) + 1))
+            open_files += [part for part in parts if part is not None]
+    return found
+
+
+def heavy_imports(sources: dict[str, str]) -> list[str]:
+    """Every module of the base install that is not imported without an extra, in words."""
+    extra_of = {library: extra for extra, libraries in LIBRARIES.items() for library in libraries}
+    found = []
+    for name in sources:
+        if not needs_extras(name.replace("/", ".").removesuffix(".__init__")):
+            late = {library: by for library, by in loaded(name, sources).items() if library in extra_of}
+            found += [f"{name} needs {library} of the extra {extra_of[library]}: {by}" for library, by in late.items()]
+    return found
+
+
+def test_the_base_install_imports_no_library_of_an_extra():
+    sources = {str(path.relative_to(SOURCE).with_suffix("")): path.read_text() for path in SOURCE.rglob("*.py")}
+    assert heavy_imports(sources) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "line", "message"),
+    [
+        ("so3", "import matplotlib.pyplot", "so3 needs matplotlib of the extra sim: so3"),
+        ("estimators/base", "from reorient.estimators import icp", "controller/arrival needs trimesh of the extra sim"),
+        ("controller/__init__", "from torch import nn", "controller/arrival needs torch of the extra train"),
+        ("estimators/__init__", "from .icp import ICP", "estimators/base needs trimesh of the extra sim"),
+    ],
+)
+def test_planted_heavy_imports_are_found(name, line, message):
+    sources = SOUND | {"estimators/icp": "import trimesh", "world/meshes": "import trimesh"}
+    assert heavy_imports(sources) == []
+    sources[name] += "\n" + line
+    if name == "estimators/base":
+        sources["controller/arrival"] += "\nimport reorient.estimators.base"
+    assert any(message in sentence for sentence in heavy_imports(sources))
 
 
 EXTRAS = "viser mcap torch mujoco mink open3d matplotlib embreex trimesh onnxruntime sklearn"

@@ -5,8 +5,9 @@
 A name is imported when it is first used, so that ``import reorient`` is fast.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from reorient.extras import imported_on_use
 
 if TYPE_CHECKING:
     from reorient.controller import Algorithm1, Fusing, Limits, OrientResult, Step, load_strategy, orient
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from reorient.stations.guarded import RobotLimits
     from reorient.stations.robot import RobotStation
 
-__version__ = "0.1.0.dev0"
+__version__ = "0.2.0"
 __all__ = [
     "Algorithm1",
     "Camera",
@@ -70,15 +71,8 @@ _MODULES = {
     "stations.guarded": ("RobotLimits",),
     "stations.robot": ("RobotStation",),
 }
-_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module 'reorient' has no attribute {name!r}")
-    value = getattr(import_module(f"reorient.{_MODULE_OF[name]}"), name)
-    globals()[name] = value
-    return value
+if not TYPE_CHECKING:  # a type checker shall see the names above and no others
+    __getattr__ = imported_on_use("reorient", _MODULES)
 
 
 def __dir__() -> list[str]:

@@ -1,4 +1,4 @@
-"""The user's own code: classes named as ``my_module:MyClass``, and the errors that they raise; libraries of extras."""
+"""The user's own code: classes named as ``my_module:MyClass``, and the errors that they raise."""
 
 import importlib
 import logging
@@ -54,14 +54,6 @@ def _refused(kind: str, name: str, error: BaseException) -> ReorientError:
     return ReorientError(
         f"cannot make {kind} {name!r} ({in_words(error)}): expected an importable class, made without arguments"
     )
-
-
-def import_extra(module: str, extra: str) -> Any:
-    """The library ``module``, which an extra of this package installs. Raises ReorientError where it is missing."""
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        raise ReorientError(f"cannot import {module} ({error}): expected `pip install 'reorient[{extra}]'`") from error
 
 
 @contextmanager

@@ -291,9 +291,9 @@ def test_broken_records_are_refused(broken, message, capsys, tmp_path, unchecked
 
 
 def test_the_verifier_is_not_trained_without_the_extra(capsys, tmp_path, monkeypatch):
-    monkeypatch.setattr("reorient.cli.learning.find_spec", lambda module: None)
+    monkeypatch.setattr("reorient.extras.find_spec", lambda module: None)
     message = refused(capsys, "verifier", "train", tmp_path, "verifier.npz")
-    assert "sklearn is not installed: expected `pip install" in message
+    assert "needs sklearn: pip install 'reorient[train]'" in message
 
 
 def test_the_strategy_follows_the_confidence(capsys, tmp_path, monkeypatch):

@@ -9,6 +9,7 @@ from PIL import Image
 from reorient import so3
 from reorient.errors import ReorientError
 from reorient.imaging import Camera, DepthImage
+from reorient.reporting.mesh_pictures import shade_mesh
 from reorient.reporting.pictures import (
     BACKGROUND,
     depth_range,
@@ -16,7 +17,6 @@ from reorient.reporting.pictures import (
     montage,
     png_data_uri,
     shade,
-    shade_mesh,
     show_mask,
     write_gif,
 )

@@ -121,6 +121,7 @@ def rows_without_times(folder):
     return [row | {"seconds": ""} for row in read_table(folder / "rows.csv.gz", ["pair"])]
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot stop and continue a process by signals")
 @pytest.mark.slow
 def test_a_second_process_is_refused_and_a_killed_one_does_not_block(tmp_path):
     first = evaluate(tmp_path / "run", start_new_session=True)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from reorient.errors import ReorientError
-from reorient.stations import drivers
-from reorient.stations.drivers import ARMS, CAMERAS, Driver, make_arm, make_camera
+from reorient.stations.drivers import ARMS, CAMERAS, make_camera
 from reorient.stations.robot_file import TEMPLATE, read_robot_file
 from reorient.stations.simulated import SimulatedArm, SimulatedCamera
 
@@ -99,16 +98,6 @@ def test_a_driver_that_cannot_be_made(tmp_path, monkeypatch, name, settings, mes
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(ReorientError, match=message):
         make_camera(name, settings)
-
-
-def test_a_missing_extra_is_named(monkeypatch):
-    def missing(name):
-        raise ModuleNotFoundError("No module named 'vendor'")
-
-    monkeypatch.setattr(drivers, "import_module", missing)
-    monkeypatch.setitem(ARMS, "ur", Driver("arms.ur", "UrArm", "ur"))
-    with pytest.raises(ReorientError, match=r"arm driver 'ur' needs a package.*pip install 'reorient\[ur\]'"):
-        make_arm("ur", {})
 
 
 @pytest.mark.parametrize("driver", [*CAMERAS.values(), *ARMS.values()], ids=lambda driver: driver.name)

@@ -11,7 +11,6 @@ import pytest
 
 from reorient import se3, so3
 from reorient.errors import ReorientError, StationError
-from reorient.plugins import import_extra
 from reorient.stations.arms.supervised import MIN_DURATION_S, StraightPath, SupervisedArm, apart, connected, one_line
 
 ROOT = Path(__file__).parents[2]
@@ -137,11 +136,6 @@ def test_a_connection_that_fails_or_hangs_is_one_line():
     with pytest.raises(StationError, match=r"no answer within 0.05 s: expected a robot"):
         connected(lambda: time.sleep(0.5), 0.05, "a robot")
     assert one_line(ValueError()) == "ValueError"
-
-
-def test_a_missing_extra_is_named():
-    with pytest.raises(ReorientError, match=r"cannot import no_such_vendor .*pip install 'reorient\[ur\]'"):
-        import_extra("no_such_vendor", "ur")
 
 
 def test_each_row_of_the_conventions_is_a_test():

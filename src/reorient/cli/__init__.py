@@ -8,6 +8,7 @@ from reorient import __version__
 from reorient.cli.arguments import parse
 from reorient.cli.verbs import VERBS, find, overview
 from reorient.errors import ReorientError
+from reorient.extras import extras_named
 from reorient.plugins import LOGGER, tracebacks_shown
 
 USAGE = """usage: reorient VERB [arguments] [options]
@@ -69,4 +70,5 @@ def _run(words: list[str]) -> int | None:
     if name is None:
         print(USAGE + overview(words[0] if len(words) > 1 else "") + "\n" + END)
         return 0
-    return parse(VERBS[name].load(), f"reorient {name}", words[len(name.split()) :]).run()
+    with extras_named():
+        return parse(VERBS[name].load(), f"reorient {name}", words[len(name.split()) :]).run()

@@ -50,7 +50,7 @@ class Demo:
         from reorient import so3
         from reorient.controller import Step, orient
         from reorient.estimators import load_estimator
-        from reorient.reporting import write_loop
+        from reorient.reporting.loop import write_loop
 
         make_folder(self.out)
         estimator = load_estimator(self.estimator)

@@ -1,5 +1,6 @@
 """The verb guide: a person rotates the object by hand."""
 
+import shutil
 import sys
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -16,8 +17,6 @@ from reorient.errors import ReorientError, check_counts, check_range
 from reorient.formatting import format_probability
 
 if TYPE_CHECKING:
-    from rich.text import Text
-
     from reorient.controller.guide_log import GuideLog
     from reorient.controller.guiding import Frames, Guidance, GuideState, GuideSubscriber
     from reorient.stations.guarded import Isolate
@@ -26,6 +25,8 @@ if TYPE_CHECKING:
 HAND = "rendered-hand"
 HAND_S = 120.0  # longest trial of the simulated hand
 _BAR = 24  # characters
+_CLEAR, _PLAIN = "\r\x1b[K", "\x1b[0m"  # to the start of an empty line; no colour
+_GREEN, _YELLOW, _RED, _MAGENTA = "\x1b[1;32m", "\x1b[33m", "\x1b[31m", "\x1b[35m"
 _EVERY_S = 1.0  # between two lines of the same status where the output is no terminal
 
 
@@ -212,44 +213,38 @@ class Terminal:
     """A subscriber that draws one line, or prints a line for each change where the output is no terminal."""
 
     def __init__(self, tolerance_deg: float) -> None:
-        from rich.console import Console
-        from rich.live import Live
-
-        console = Console(markup=False, emoji=False)
         self._tolerance_deg = tolerance_deg
-        self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
+        self._live = sys.stdout.isatty()
         self._printed: tuple[str, float] = ("", -np.inf)
 
     def __enter__(self) -> "Terminal":
-        if self._live:
-            self._live.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         if self._live:
-            self._live.stop()
+            print(_CLEAR, end="", flush=True)
 
     def __call__(self, state: "GuideState") -> None:
         """Show a state."""
+        line, colour = self._line(state)
         if self._live:
-            self._live.update(self._line(state), refresh=True)
+            width = shutil.get_terminal_size().columns - 1
+            print(f"{_CLEAR}{colour}{line[:width]}{_PLAIN}", end="", flush=True)
             return
         status, time_s = self._printed
         if state.status != status or state.time_s >= time_s + _EVERY_S:
             self._printed = state.status, state.time_s
-            print(self._line(state).plain, flush=True)
+            print(line, flush=True)
 
-    def _line(self, state: "GuideState") -> "Text":
-        """Bar, angle, instruction and confidence."""
-        from rich.text import Text
-
+    def _line(self, state: "GuideState") -> tuple[str, str]:
+        """Bar, angle, instruction and confidence, and their colour."""
         if state.angle_rad is None:
-            return Text(f"[{'?' * _BAR}] {state.status.replace('_', ' ')}: {state.instruction}", "magenta")
+            return f"[{'?' * _BAR}] {state.status.replace('_', ' ')}: {state.instruction}", _MAGENTA
         angle_deg = float(np.degrees(state.angle_rad))
-        style = "bold green" if angle_deg <= self._tolerance_deg else "yellow" if angle_deg <= 10 else "red"
+        colour = _GREEN if angle_deg <= self._tolerance_deg else _YELLOW if angle_deg <= 10 else _RED
         filled = int(np.ceil(_BAR * np.sqrt(angle_deg / 180)))  # fine near the goal
         bar = f"[{'#' * filled}{'-' * (_BAR - filled)}]"
-        return Text(f"{bar} {_angle(state)}  {state.instruction}", style)
+        return f"{bar} {_angle(state)}  {state.instruction}", colour
 
 
 def _angle(state: "GuideState") -> str:

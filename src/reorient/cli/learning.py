@@ -2,23 +2,17 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
 from reorient.cli.arguments import Positional, Presets
 from reorient.cli.progress import show_progress
-from reorient.errors import ReorientError, check_range
+from reorient.errors import check_range
+from reorient.extras import require
 from reorient.learning.recipes import PRESETS, NetworkName, Training
 from reorient.runs.files import make_folder
 from reorient.runs.pool import Pool
 from reorient.world.pairs import PairSet
-
-
-def require(extra: str, *modules: str) -> None:
-    """Raise ReorientError, naming the extra, where one of its modules is not installed."""
-    if missing := [module for module in modules if find_spec(module) is None]:
-        raise ReorientError(f"{missing[0]} is not installed: expected `pip install 'reorient[{extra}]'`")
 
 
 @dataclass(frozen=True)
@@ -39,7 +33,7 @@ class Generate:
 
     def run(self) -> None:
         """Print duration and size, then generate."""
-        require("train", "zarr")
+        require("zarr")
         from reorient.learning.pair_store import estimate_cost, generate
 
         cost = estimate_cost(self.config, self.out, self.pool)
@@ -82,7 +76,7 @@ class Train:
 
     def run(self) -> None:
         """Train, and print loss and validation error of each epoch."""
-        require("train", "torch", "lightning_fabric", "zarr", "safetensors", "tensorboard")
+        require("torch", "lightning_fabric", "zarr", "safetensors", "tensorboard")
         import torch
 
         from reorient.learning.training import train
@@ -127,7 +121,7 @@ class Export:
 
     def run(self) -> None:
         """Read and write."""
-        require("train", "torch", "onnx", "onnxscript", "safetensors")
+        require("torch", "onnx", "onnxscript", "safetensors")
         from reorient.learning.export import export
 
         make_folder(self.out.parent)

@@ -153,7 +153,8 @@ class Montage:
 
     def run(self) -> None:
         """Render and write."""
-        from reorient.reporting.pictures import check_suffix, montage, shade_mesh
+        from reorient.reporting.mesh_pictures import shade_mesh
+        from reorient.reporting.pictures import check_suffix, montage
 
         check_suffix(self.out)
         objects = self.objects.open()

@@ -30,19 +30,21 @@ class LoopOutputs:
 
     def check(self) -> None:
         """Make the folder. Raises ReorientError where that, or MCAP, is not possible."""
-        from reorient.plugins import import_extra
+        from reorient.extras import import_extra, require
 
         if self.out is not None:
             make_folder(self.out)
+        if self.out is not None and self.format is not None:
+            require("matplotlib")
         if self.mcap is not None:
-            import_extra("mcap_protobuf", "view")
+            import_extra("mcap_protobuf")
 
     def write(self, goal: "DepthImage", result: "OrientResult", errors_deg: Sequence[float], title: str) -> None:
         """Write what is asked for, unless the loop has no step; prints the paths. Errors as ``write_loop``."""
         if not result.steps:
             return
         if self.out is not None:
-            from reorient.reporting import write_loop
+            from reorient.reporting.loop import write_loop
 
             print(*write_loop(self.out, goal, result, errors_deg, title, self.format), sep="\n")
         if self.mcap is not None:

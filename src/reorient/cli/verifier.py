@@ -4,8 +4,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from reorient.cli.arguments import Positional
-from reorient.cli.learning import require
 from reorient.cli.progress import show_progress
+from reorient.extras import require
 from reorient.learning.verifier_data import VerifierData
 from reorient.runs.pool import Pool
 
@@ -60,7 +60,7 @@ class Train:
 
     def run(self) -> None:
         """Read, train, write, print."""
-        require("train", "sklearn")
+        require("sklearn")
         from reorient.learning.verifier import read, train
 
         folders = {"fast": self.fast, "thorough": self.thorough}

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from reorient.errors import ReorientError, unknown_name
 from reorient.estimators.base import Estimator, for_any_goal
+from reorient.extras import extras_named
 from reorient.plugins import make_own
 
 NAMES = ("default", "rotation-search", "fast", "thorough", "gicp", "icp", "paper", "swift")
@@ -20,11 +21,12 @@ def load_estimator(name: str = "default") -> Estimator:
     Of a goal of several views ``rotation-search``, ``fast`` and ``thorough`` use all; the others, and a user's own that
     does not state ``several_views = True``, receive the primary one.
 
-    Raises ReorientError, a ValueError, for an unknown name.
+    Raises ReorientError, a ValueError, for an unknown name, and MissingExtra for ``icp`` without the extra ``sim``.
     """
     if not isinstance(name, str):
         raise ReorientError(f"estimator {name!r}: expected a name, a string")
-    return for_any_goal(_load(name))
+    with extras_named():
+        return for_any_goal(_load(name))
 
 
 def _load(name: str) -> Estimator:

@@ -168,7 +168,7 @@ def seen_share(problem: Problem, hypothesis: Hypotheses) -> float:
 @cache
 def _logistic() -> tuple[Float[np.ndarray, " f"], float]:
     """A weight for each of the verifier's features, and the bias."""
-    data: Mapping[str, float] = json.loads(CONFIDENCE.read_text())
+    data: Mapping[str, float] = json.loads(CONFIDENCE.read_text(encoding="utf-8"))
     return np.array([data.get(name, 0.0) for name in FEATURES]), data["bias"]
 
 

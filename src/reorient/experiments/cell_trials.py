@@ -20,6 +20,7 @@ from reorient.controller import OrientResult, Step, orient
 from reorient.errors import ReorientError, StationError, check_angles, check_counts, check_distinct, check_range
 from reorient.experiments.cached import cached_object
 from reorient.experiments.systems import load_system
+from reorient.extras import extras_named
 from reorient.imaging import DepthImage
 from reorient.perception.calibration import read_calibration
 from reorient.perception.colour import ColourRange
@@ -179,11 +180,9 @@ def chosen(config: Experiment) -> tuple[str, ...]:
 
 def open_cell(config: Experiment, rng: Generator) -> Any:
     """The cell, its gripper still empty. Raises ReorientError where the extra is not installed or an input is bad."""
-    try:
+    with extras_named():
         from reorient.stations.cell import CellConfig, PlantConfig, SimulatedCell
         from reorient.stations.cell.drive import Errors
-    except ModuleNotFoundError as error:
-        raise ReorientError(f"the simulated cell needs {error.name}: pip install 'reorient[cell]'") from error
     plant = PlantConfig(noise_m=config.noise_mm / 1000, errors=Errors(slip_nm=config.slip_nm))
     colour = None
     if config.gripper_hue_deg or config.gripper_saturation:

@@ -4,7 +4,6 @@ A reader returns the array as stored and what the file states beside it: ``camer
 """
 
 from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy as np
 from PIL import Image
 
 from reorient.errors import ReorientError
+from reorient.extras import import_extra
 from reorient.imaging.documents import parse_json, refuse_pickle
 from reorient.imaging.point_clouds import read_pcd, read_ply
 
@@ -141,10 +141,7 @@ def _header(data: bytes, count: int) -> tuple[list[bytes], bytes]:
 
 def _read_exr(path: Path) -> Read:
     """The channel Z, or the one channel that there is, or three equal ones."""
-    try:
-        openexr = import_module("OpenEXR")
-    except ImportError as error:
-        raise ReorientError("needs OpenEXR: expected `pip install 'reorient[exr]'`, or .tif or .npy") from error
+    openexr = import_extra("OpenEXR")
     with openexr.File(str(path), separate_channels=True) as file:
         channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
     name = next((name for name in _EXR_CHANNELS if name in channels), next(iter(channels), ""))

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from reorient import so3
 from reorient.errors import ReorientError
+from reorient.extras import extras_named
 from reorient.imaging.camera import Camera
 from reorient.imaging.depth_image import DepthImage
 from reorient.imaging.viewpoints import spread_rotations
@@ -77,10 +78,10 @@ class Goal:
         ``T_camera_object`` takes the mesh, in metres, to the goal pose in camera axes. ``unit_m``: metres per unit of
         the file. The further views show the object rotated about the centre of its bounding box, so that all sides are
         visible. Raises ReorientError for a broken file, for a transform that is not rigid, and where the object is not
-        inside the view as a whole, as with a wrong unit.
+        inside the view as a whole, as with a wrong unit; MissingExtra without the extra ``sim``.
         """
-        from reorient.world.mesh_goal import mesh_goal
-
+        with extras_named():
+            from reorient.world.mesh_goal import mesh_goal
         return mesh_goal(path, T_camera_object, camera, unit_m, spread_rotations(views))
 
 

@@ -59,7 +59,7 @@ def _explained(path: str | Path, intrinsics: Intrinsics, size: tuple[int | None,
 def write_camera(path: str | Path, camera: Camera) -> None:
     """Write intrinsics as JSON in the format of reorient; pixel centres at +0.5."""
     with replacing(path) as temporary:
-        temporary.write_text(json.dumps(camera_data(camera), indent=2) + "\n")
+        temporary.write_text(json.dumps(camera_data(camera), indent=2) + "\n", encoding="utf-8")
 
 
 def camera_data(camera: Camera) -> dict[str, Any]:

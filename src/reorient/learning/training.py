@@ -257,13 +257,13 @@ def _begin(config: Training, reader: PairReader, out: Path, fabric: Fabric) -> N
             raise ReorientError(f"{str(out)!r} holds a training of another config: expected a new folder")
     elif fabric.is_global_zero:
         with replacing(file) as temporary:
-            temporary.write_text(json.dumps(described | {"commit": commit()}, indent=1))
+            temporary.write_text(json.dumps(described | {"commit": commit()}, indent=1), encoding="utf-8")
 
 
 def _append_row(out: Path, row: dict[str, Any]) -> None:
     file = out / "metrics.csv"
     new = not file.exists()
-    with file.open("a", newline="") as handle:
+    with file.open("a", encoding="utf-8", newline="") as handle:
         writer = csv.DictWriter(handle, COLUMNS)
         if new:
             writer.writeheader()
@@ -275,7 +275,7 @@ def _drop_rows_from(out: Path, epoch: int) -> None:
     file = out / "metrics.csv"
     if file.is_file():
         rows = [row for row in csv.DictReader(file.open()) if int(row["epoch"]) < epoch]
-        with replacing(file) as temporary, temporary.open("w", newline="") as handle:
+        with replacing(file) as temporary, temporary.open("w", encoding="utf-8", newline="") as handle:
             writer = csv.DictWriter(handle, COLUMNS)
             writer.writeheader()
             writer.writerows(rows)

@@ -75,7 +75,7 @@ def write_calibration(path: str | Path, calibration: Calibration) -> None:
         if mounted is not None
     }
     with replacing(path) as temporary:
-        temporary.write_text(json.dumps(data, indent=1) + "\n")
+        temporary.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
 
 
 def _mounted(data: dict[str, Any], name: str) -> MountedCamera:

@@ -84,4 +84,4 @@ def write_robot_calibration(path: str | Path, calibration: RobotCalibration) -> 
         name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in asdict(calibration).items()
     }
     with replacing(path) as temporary:
-        temporary.write_text(json.dumps(data, indent=1) + "\n")
+        temporary.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")

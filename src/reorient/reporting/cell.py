@@ -15,8 +15,9 @@ from reorient.experiments.cell_trials import Experiment, close_loop, stage
 from reorient.formatting import FigureFormat
 from reorient.perception.segmentation import object_mask
 from reorient.reporting.cell_rows import HEADINGS, Loop, mask_summary, not_staged, read_loops, summary
+from reorient.reporting.growing_curve import growing_curve
 from reorient.reporting.loop import loop_data
-from reorient.reporting.loop_figures import error_by_image, errors_by_object, growing_curve
+from reorient.reporting.loop_figures import error_by_image, errors_by_object
 from reorient.reporting.page import inline_image, part, table, write_page
 from reorient.reporting.pictures import depth_range, framed, montage, png_data_uri, shade, show_mask, write_gif
 from reorient.reporting.style import write_figure

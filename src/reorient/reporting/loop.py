@@ -12,15 +12,15 @@ from reorient import so3
 from reorient.controller import OrientResult, Step
 from reorient.errors import ReorientError
 from reorient.estimators.base import RotationEstimate
+from reorient.extras import extras_named
 from reorient.formatting import FigureFormat, format_number, format_probability, format_share
 from reorient.imaging import DepthImage
 from reorient.registration import DepthView
 from reorient.registration.evidence import Evidence
-from reorient.reporting.loop_figures import growing_curve, loop_curve
+from reorient.reporting.growing_curve import growing_curve
 from reorient.reporting.page import inline_image, part, table, write_page
 from reorient.reporting.pictures import depth_range, framed, montage, shade, write_gif
 from reorient.reporting.scenes import CLASSES, Compared, at_most, class_data, hypothesis_data, image_data
-from reorient.reporting.style import write_figure
 
 _PANEL_PX = 256
 _FRAME_MS, _LAST_FRAME_MS = 160, 2500
@@ -62,6 +62,9 @@ def write_loop(
     data = {"loop": loop_data(images[0], images[1:], result, errors_deg)}
     written = [gif, write_page(Path(folder) / "loop.html", title, outcome(result, errors_deg), sections, data)]
     if figure is not None:
+        with extras_named():
+            from reorient.reporting.loop_figures import loop_curve
+            from reorient.reporting.style import write_figure
         curve = loop_curve([np.degrees(step.estimate.angle_rad) for step in steps], errors_deg)
         written.append(write_figure(curve, Path(folder) / f"remaining-angle.{figure}"))
     return written

@@ -6,13 +6,10 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
-from PIL import Image
 
-from reorient.reporting.pictures import BACKGROUND, INK
 from reorient.reporting.style import (
     DASHES,
     PAGE_INCHES,
@@ -39,30 +36,6 @@ def loop_curve(predicted_deg: Sequence[float], true_deg: Sequence[float]) -> Fig
             line.set_data(range(len(values)), values)
         axes.legend()
         return figure
-
-
-def growing_curve(predicted_deg: Sequence[float], true_deg: Sequence[float], size_px: int) -> list[Image.Image]:
-    """The same as pictures on a dark square: for each image of the loop the curve up to that image."""
-    dark, ink = (tuple(x / 255 for x in colour) for colour in (BACKGROUND, INK))
-    inked = ("axes.edgecolor", "axes.labelcolor", "axes.titlecolor", "xtick.color", "ytick.color", "text.color")
-    style = STYLE | dict.fromkeys(inked, ink) | dict.fromkeys(("figure.facecolor", "axes.facecolor"), dark)
-    with mpl.rc_context(style | {"grid.color": "#353a45"}):
-        figure = Figure(figsize=(size_px / 100, size_px / 100), dpi=100)
-        canvas = FigureCanvasAgg(figure)
-        axes = figure.subplots()
-        lines = _loop_axes(axes, predicted_deg, true_deg)
-        axes.legend(loc="upper right", handlelength=1.6)
-        canvas.draw()
-        figure.set_layout_engine("none")  # laid out once: the axes must not move, and the layout takes most of the time
-        frames = []
-        for count in range(1, len(predicted_deg) + 1):
-            for line, values in zip(lines, (predicted_deg, true_deg), strict=True):
-                shown = values[:count]
-                line.set_data(range(len(shown)), shown)
-                line.set_markevery([len(shown) - 1] if shown else [])
-            canvas.draw()
-            frames.append(Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB"))
-        return frames
 
 
 def error_by_image(panels: Panels, reference_deg: float, reference: str) -> Figure:

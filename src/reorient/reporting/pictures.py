@@ -1,4 +1,4 @@
-"""Pictures of depth images and meshes: shading, montages, GIFs, inline PNGs."""
+"""Pictures of depth images: shading, montages, GIFs, inline PNGs."""
 
 import base64
 import io
@@ -6,17 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import trimesh
 from jaxtyping import Bool, Float
 from PIL import Image, ImageDraw, ImageFont
 from scipy import ndimage
 
-from reorient import so3
 from reorient.errors import ReorientError
 from reorient.imaging import DepthImage
 from reorient.registration.normals import fit_planes
 from reorient.runs.files import replacing
-from reorient.world.rendering import Placement, Renderer, load_world
 
 BACKGROUND = (24, 27, 33)
 INK = (214, 218, 226)
@@ -71,22 +68,6 @@ def show_mask(image: DepthImage, mask: Bool[np.ndarray, "height width"], size_px
     middle = (columns.min() + columns.max()) / 2, (rows.min() + rows.max()) / 2
     box = tuple(round(x) for x in (middle[0] - half, middle[1] - half, middle[0] + half, middle[1] + half))
     return Image.fromarray(picture.astype(np.uint8)).crop(box).resize((size_px, size_px), Image.Resampling.NEAREST)
-
-
-def shade_mesh(
-    mesh: trimesh.Trimesh, R_camera_object: Float[np.ndarray, "3 3"] | None = None, size_px: int = 256
-) -> Image.Image:
-    """A shaded view of a mesh, rendered exactly in the benchmark world; default: obliquely from above, z up."""
-    if R_camera_object is None:
-        R_camera_object = so3.exp(np.radians([118.0, 0.0, 0.0])) @ so3.exp(np.radians([0.0, 0.0, -125.0]))
-    renderer = Renderer(mesh)
-    world = load_world("benchmark")
-    radius_m = float(np.linalg.norm(renderer.mesh.vertices, axis=1).max())
-    placement = Placement(
-        world.radius_m / radius_m if world.radius_m else 1.0, np.array([0.0, 0.0, np.mean(world.distance_m)])
-    )
-    camera = world.camera.resized(2 * size_px, 2 * size_px)
-    return shade(DepthImage(renderer.depth(camera, R_camera_object, placement), camera), size_px)
 
 
 def depth_range(images: Sequence[DepthImage]) -> tuple[float, float]:

@@ -86,7 +86,7 @@ def held(part: Finding, whole: Finding) -> bool | None:
 
 def write_findings(findings: Sequence[Finding], path: Path) -> None:
     """As a plain CSV table."""
-    with replacing(path) as temporary, temporary.open("w", newline="") as file:
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, list(asdict(findings[0])))
         writer.writeheader()
         for finding in findings:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from reorient.errors import ReorientError
+from reorient.extras import extras_named
 from reorient.learning.recipes import LossName, Training, load_preset
 from reorient.reproducing.setting import Setting
 from reorient.runs.files import make_folder
@@ -84,10 +84,8 @@ def make_network(network: Network, setting: Setting, keep: Path) -> None:
 
 
 def _pairs(network: Network, setting: Setting) -> Path:
-    try:
+    with extras_named():
         from reorient.learning.pair_store import generate
-    except ImportError as error:
-        raise ReorientError(f"{error.name} is not installed: expected `pip install 'reorient[train]'`") from error
     path = make_folder(setting.data / "pairs") / network.set_name
     states = generate(network.pairs, path, setting.pool)
     setting.progress(f"pairs of {network.set_name}", ((state.done, state.total) for state in states))

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from reorient.reporting.mesh_pictures import shade_mesh
 from reorient.reporting.page import inline_image
-from reorient.reporting.pictures import montage, png_data_uri, shade_mesh
+from reorient.reporting.pictures import montage, png_data_uri
 from reorient.reporting.rows import numbers, read_table
 from reorient.reproducing.findings import Finding, share
 from reorient.reproducing.full import Full

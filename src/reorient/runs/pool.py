@@ -5,12 +5,12 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from itertools import islice
 from threading import Thread
 from typing import Any, Literal, TypeVar
 
-from reorient.errors import OutOfRange, ReorientError, check_range
+from reorient.errors import OutOfRange, check_range
+from reorient.extras import import_extra
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -48,7 +48,7 @@ class Pool:
         """The results in the order of the tasks, each as soon as it and those before it are there.
 
         One worker of backend "processes" is the calling process. Worker processes end with the calling process, even
-        if that is killed. Raises ReorientError where Ray is not installed, and whatever ``function`` raises.
+        if that is killed. Raises MissingExtra where Ray is not installed, and whatever ``function`` raises.
         """
         if self.backend == "ray":
             return self._map_on_ray(function, tasks)
@@ -90,10 +90,7 @@ def _call(function: Callable[[Task], Result], task: Task) -> Result:
 
 def _ray() -> Any:
     """Ray, connected."""
-    try:
-        ray = import_module("ray")
-    except ImportError as error:
-        raise ReorientError("ray is not installed: expected `pip install 'reorient[cluster]'`") from error
+    ray = import_extra("ray")
     if not ray.is_initialized():
         ray.init(include_dashboard=False, log_to_driver=False)
     return ray

@@ -27,7 +27,7 @@ def keep_record(file: Path, record: dict[str, Any], compared: tuple[str, ...] = 
     """
     if not file.is_file():
         with replacing(file) as temporary:
-            temporary.write_text(json.dumps(record, indent=2) + "\n")
+            temporary.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
         return
     earlier = read_record(file)
     if any(earlier.get(key) != record[key] for key in compared):

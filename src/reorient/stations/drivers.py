@@ -13,6 +13,7 @@ from typing import Any, Protocol, cast, runtime_checkable
 
 from reorient.controller.station import missing_members
 from reorient.errors import ReorientError, unknown_name
+from reorient.extras import extras_named
 from reorient.imaging import DepthImage
 from reorient.plugins import USER_ERRORS, import_own, in_words
 from reorient.se3 import Transform
@@ -65,22 +66,20 @@ class Driver:
     """Within ``reorient.stations``."""
     name: str
     """Of the class."""
-    extra: str = ""
-    """The extra that installs the vendor's library; empty: none is needed."""
 
 
 CAMERAS = {
     "folder": Driver("cameras.folder", "FolderCamera"),
-    "realsense": Driver("cameras.realsense", "RealSenseCamera", "realsense"),
-    "ros2": Driver("cameras.ros2", "Ros2Camera", "ros2"),
+    "realsense": Driver("cameras.realsense", "RealSenseCamera"),
+    "ros2": Driver("cameras.ros2", "Ros2Camera"),
     "simulated": Driver("simulated", "SimulatedCamera"),
 }
 ARMS = {
-    "abb": Driver("arms.abb", "AbbArm", "abb"),
-    "franka": Driver("arms.franka", "FrankaArm", "franka"),
-    "ros2": Driver("arms.ros2", "Ros2Arm", "ros2"),
+    "abb": Driver("arms.abb", "AbbArm"),
+    "franka": Driver("arms.franka", "FrankaArm"),
+    "ros2": Driver("arms.ros2", "Ros2Arm"),
     "simulated": Driver("simulated", "SimulatedArm"),
-    "ur": Driver("arms.ur", "UrArm", "ur"),
+    "ur": Driver("arms.ur", "UrArm"),
 }
 
 
@@ -103,7 +102,7 @@ def _made(
     if ":" in name:
         driver: Any = import_own(f"{kind} driver", name)
     elif name in known:
-        driver = _imported(kind, name, known[name])
+        driver = _imported(known[name])
     else:
         raise unknown_name(f"{kind} driver", name, [*known, f"my_module:My{kind.title()}"])
     _check_settings(kind, name, driver, settings)
@@ -118,16 +117,9 @@ def _made(
     return made
 
 
-def _imported(kind: str, name: str, driver: Driver) -> Any:
-    try:
+def _imported(driver: Driver) -> Any:
+    with extras_named():
         return getattr(import_module(f"reorient.stations.{driver.module}"), driver.name)
-    except ImportError as error:
-        if not driver.extra:
-            raise
-        raise ReorientError(
-            f"{kind} driver {name!r} needs a package that is not installed ({error}): expected "
-            f"`pip install 'reorient[{driver.extra}]'`"
-        ) from error
 
 
 def _check_settings(kind: str, name: str, driver: Any, settings: Mapping[str, Any]) -> None:

@@ -17,9 +17,9 @@ import numpy as np
 
 from reorient import se3, so3
 from reorient.errors import StationError
+from reorient.extras import import_extra
 from reorient.imaging import Camera, DepthImage
 from reorient.imaging.files import write_depth
-from reorient.plugins import import_extra
 from reorient.runs.files import make_folder
 from reorient.se3 import Transform
 from reorient.stations.simulated import HOME_M, SimulatedCell
@@ -44,7 +44,7 @@ class FrankaCell:
 
         Raises ReorientError where franky-sim is missing, StationError where a process does not start.
         """
-        import_extra("franky_sim", "franka-sim")
+        import_extra("franky_sim")
         self.folder = make_folder(folder)
         self._scene = scene(seed)
         context = multiprocessing.get_context("spawn")
@@ -143,8 +143,8 @@ def _tool(hand: Any) -> Transform:
 
 def _run_arm(hand: Any, ready: Connection) -> None:
     """The process of the arm: steps the simulation, and shares the pose of the hand."""
-    simulators = import_extra("franky_sim.mujoco_simulator", "franka-sim")
-    servers = import_extra("franky_sim", "franka-sim")
+    simulators = import_extra("franky_sim.mujoco_simulator")
+    servers = import_extra("franky_sim")
     with simulators.MujocoSimulator(enable_visualization=False) as simulator:
         robot = simulator.add_robot()
         with servers.SimulationServer(simulator) as server:

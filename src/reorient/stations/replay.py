@@ -126,7 +126,7 @@ class RecordingStation:
 
     def _write(self) -> None:
         with replacing(self._folder / "record.json") as temporary:
-            temporary.write_text(json.dumps(self._record))
+            temporary.write_text(json.dumps(self._record), encoding="utf-8")
 
 
 class ReplayedStation:
@@ -140,7 +140,7 @@ class ReplayedStation:
         if not file.is_file():
             raise ReorientError(f"no record.json in {str(folder)!r}: expected a folder of `reorient orient --record`")
         try:
-            self.record = _present_form(json.loads(file.read_text()))
+            self.record = _present_form(json.loads(file.read_text(encoding="utf-8")))
             self._acts = [_checked(act) for act in self.record["acts"]]
             pivot = self.record["pivot_m"]
             self._pivot_m = None if pivot is None else np.array(pivot, float)

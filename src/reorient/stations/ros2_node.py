@@ -3,7 +3,7 @@
 from threading import Thread
 from typing import Any
 
-from reorient.plugins import import_extra
+from reorient.extras import import_extra
 
 
 class Ros2Node:
@@ -14,15 +14,15 @@ class Ros2Node:
 
     def __init__(self, name: str) -> None:
         """Raises ReorientError where rclpy is missing."""
-        self._rclpy = import_extra("rclpy", "ros2")
-        import_extra("rclpy.executors", "ros2")
+        self._rclpy = import_extra("rclpy")
+        import_extra("rclpy.executors")
         self.messages = {
-            name: import_extra(f"{package}.msg", "ros2")
+            name: import_extra(f"{package}.msg")
             for name, package in (("sensor", "sensor_msgs"), ("geometry", "geometry_msgs"))
         }
         self._context = self._rclpy.Context()
         # rclpy's own handler of Ctrl-C would shut the context down, and an arm could not be told to stop any more
-        handlers = import_extra("rclpy.signals", "ros2").SignalHandlerOptions.NO
+        handlers = import_extra("rclpy.signals").SignalHandlerOptions.NO
         self._rclpy.init(context=self._context, signal_handler_options=handlers)
         self.node: Any = self._rclpy.create_node(name, context=self._context)
         self._executor = self._rclpy.executors.SingleThreadedExecutor(context=self._context)

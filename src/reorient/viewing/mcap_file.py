@@ -16,8 +16,8 @@ from jaxtyping import Float
 from reorient import so3
 from reorient.controller import OrientResult, Step
 from reorient.errors import ReorientError
+from reorient.extras import import_extra
 from reorient.imaging import DepthImage
-from reorient.plugins import import_extra
 from reorient.runs.files import replacing
 
 CAMERA, ALIGNED = "camera", "aligned"
@@ -66,7 +66,7 @@ def write_mcap(path: str | Path, goal: DepthImage, result: OrientResult) -> Path
     """
     if not result.steps:
         raise ReorientError(f"a loop without a step ({result.reason}): expected at least one image to write")
-    import_extra("mcap_protobuf", "view")
+    import_extra("mcap_protobuf")
     with replacing(path) as temporary, temporary.open("wb") as stream:
         file = _File(stream)
         times_s = _times(result.steps)

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from reorient.errors import ReorientError
+from reorient.extras import import_extra
 from reorient.imaging import Isolation
-from reorient.plugins import import_extra
 from reorient.runs.files import replacing
 
 
@@ -16,7 +16,7 @@ def write_isolation(path: Path, isolation: Isolation) -> None:
     Raises ReorientError where the extra ``view`` is not installed, for a background that is no file, and where the
     file cannot be written.
     """
-    tomlkit = import_extra("tomlkit", "view")
+    tomlkit = import_extra("tomlkit")
     document = tomlkit.parse(path.read_text(encoding="utf-8"))
     table = document.setdefault("isolation", tomlkit.table())
     for each in fields(Isolation):

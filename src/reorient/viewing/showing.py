@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 
+from reorient.extras import import_extra
 from reorient.imaging import DepthImage
-from reorient.plugins import LOGGER, import_extra
+from reorient.plugins import LOGGER
 from reorient.reporting.pictures import shade
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
@@ -22,7 +23,7 @@ IMAGE_PX = 300
 
 def serve(title: str, host: str, port: int) -> Any:
     """A server of views. Raises ReorientError where the extra ``view`` is not installed."""
-    viser = import_extra("viser", "view")
+    viser = import_extra("viser")
     with redirect_stdout(StringIO()):  # it prints its address whatever ``verbose`` is
         server = viser.ViserServer(host, port, label=title, verbose=False)
     # no share button: it would open the view to the internet

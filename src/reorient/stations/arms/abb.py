@@ -8,7 +8,7 @@ import numpy as np
 
 from reorient import se3, so3
 from reorient.errors import StationError
-from reorient.plugins import import_extra
+from reorient.extras import import_extra
 from reorient.se3 import Transform
 from reorient.stations.arms.streamed import StreamedArm
 
@@ -28,7 +28,7 @@ class AbbArm(StreamedArm):
     def __post_init__(self) -> None:
         """Raises StationError where another program has the port, or no controller sends messages."""
         super().__post_init__()
-        egm = import_extra("abb_robot_client.egm", "abb").EGM
+        egm = import_extra("abb_robot_client.egm").EGM
         try:
             self._egm: Any = egm(port=self.port)
         except OSError as error:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from reorient.errors import StationError
-from reorient.plugins import import_extra
+from reorient.extras import import_extra
 from reorient.se3 import Transform
 from reorient.stations.arms.reach import follows, joint_limits
 from reorient.stations.arms.supervised import StraightPath, SupervisedArm, connected, one_line
@@ -31,7 +31,7 @@ class FrankaArm(SupervisedArm):
     def __post_init__(self) -> None:
         """Raises StationError where the controller cannot be reached, or is not ready to move."""
         super().__post_init__()
-        self._franky: Any = import_extra("franky", "franka")
+        self._franky: Any = import_extra("franky")
         config = self._franky.RealtimeConfig
         self._robot: Any = connected(
             lambda: self._franky.Robot(

@@ -9,7 +9,7 @@ import numpy as np
 
 from reorient import se3, so3
 from reorient.errors import StationError
-from reorient.plugins import import_extra
+from reorient.extras import import_extra
 from reorient.se3 import Transform
 from reorient.stations.arms.supervised import POLL_S, StraightPath, SupervisedArm, connected, one_line
 
@@ -40,7 +40,7 @@ class UrArm(SupervisedArm):
     def __post_init__(self) -> None:
         """Raises StationError where the controller cannot be reached, or is not ready to move."""
         super().__post_init__()
-        receive = import_extra("rtde_receive", "ur").RTDEReceiveInterface
+        receive = import_extra("rtde_receive").RTDEReceiveInterface
         self._check_port(_RTDE_PORT)  # the vendor's constructor would wait longer, and could not be interrupted
         self._rtde: Any = connected(
             lambda: receive(self.address, -1.0, _STATE),

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from reorient.errors import ReorientError, StationError, check_range
+from reorient.extras import import_extra
 from reorient.imaging import Camera, DepthImage
-from reorient.plugins import import_extra
 
 
 @dataclass(kw_only=True, eq=False)
@@ -43,7 +43,7 @@ class RealSenseCamera:
             raise ReorientError(
                 f"recording {self.recording!r}: expected an existing file, and no serial number with it"
             )
-        self._rs: Any = import_extra("pyrealsense2", "realsense")
+        self._rs: Any = import_extra("pyrealsense2")
         self._clock_is_host = False
         self._pipeline = self._started()
         self._align = self._rs.align(self._rs.stream.color) if self.align_to_color else None

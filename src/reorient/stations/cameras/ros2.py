@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from reorient.errors import ReorientError, StationError, check_range
+from reorient.extras import import_extra
 from reorient.imaging import Camera, DepthImage
-from reorient.plugins import import_extra
 from reorient.stations.ros2_node import Ros2Node, seconds
 
 _TYPES = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
@@ -42,7 +42,7 @@ class Ros2Camera:
         self._info: Any = None
         folder, slash, _ = self.topic.rpartition("/")
         self._info_topic = self.info_topic or f"{folder}{slash}camera_info"
-        quality = import_extra("rclpy.qos", "ros2").qos_profile_sensor_data
+        quality = import_extra("rclpy.qos").qos_profile_sensor_data
         messages = self._ros.messages["sensor"]
         self._ros.node.create_subscription(messages.Image, self.topic, self._received, quality)
         self._ros.node.create_subscription(messages.CameraInfo, self._info_topic, self._informed, quality)
