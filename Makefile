@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := -m pip install --disable-pip-version-check
 
-.PHONY: demo demo-robot readme-picture demo-cell docs test test-base test-slow test-train test-cell test-peers test-robot test-view lint dist clean
+.PHONY: demo demo-robot readme-picture demo-cell docs test test-base test-slow test-train test-cell test-peers test-robot test-view fuzz lint dist clean
 
 demo: .venv/sim
 	$(BIN)/python -m reorient demo --out out/demo
@@ -50,6 +50,11 @@ lint: .venv/dev
 test-view: .venv/view
 	$(BIN)/python -m pytest tests/view
 
+# Mutated files for every reader: make fuzz COUNT=5000 for a hundred thousand inputs.
+COUNT ?= 500
+fuzz: .venv/train
+	PYTHONPATH=benchmarks $(BIN)/python benchmarks/fuzz.py --count $(COUNT)
+
 dist: .venv/dev
 	rm -rf dist
 	$(BIN)/python -m hatchling build --directory dist
@@ -61,7 +66,7 @@ dist: .venv/dev
 
 EXTRAS_sim := sim
 EXTRAS_dev := dev
-EXTRAS_train := dev,train,cluster
+EXTRAS_train := dev,train,cluster,s3,s3-tests
 EXTRAS_docs := docs
 EXTRAS_cell := dev,cell
 EXTRAS_peers := dev,peers

@@ -85,7 +85,7 @@ def in_one_line(what: str) -> Iterator[None]:
 def in_words(error: BaseException) -> str:
     """An error in one line: its type, its message, and file and line in the user's code. Its traceback is logged."""
     LOGGER.debug("the traceback of an error:", exc_info=error)
-    text = " ".join(str(error).split())
+    text = " ".join(str(error).split()).encode(errors="backslashreplace").decode()  # a lone surrogate fits no file
     if not isinstance(error, ReorientError):
         text = f"{type(error).__name__}: {text}" if text else type(error).__name__
     place = "" if isinstance(error, StationError) else _place(error)

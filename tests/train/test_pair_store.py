@@ -48,6 +48,15 @@ def test_two_workers_make_the_same_bytes(sharded, tmp_path):
     assert digest(tmp_path / "two") == digest(path)
 
 
+def test_a_second_process_in_the_folder_is_refused(tmp_path):
+    first = generate(SMALL, tmp_path / "set")
+    next(first)
+    with pytest.raises(ReorientError, match="another process is writing into"):
+        next(generate(SMALL, tmp_path / "set"))
+    first.close()
+    assert run(SMALL, tmp_path / "set").done == 48
+
+
 def test_a_missing_shard_is_made_again_and_nothing_else(sharded, tmp_path):
     config, path = sharded
     copy = tmp_path / "copy"

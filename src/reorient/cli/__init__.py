@@ -1,5 +1,6 @@
 """The command line: one verb per capability. Errors are one line on standard error."""
 
+import io
 import os
 import sys
 
@@ -28,6 +29,9 @@ exit codes:
 def main(arguments: list[str] | None = None) -> None:
     """Parse and run. Returns after success, else raises SystemExit with the codes that ``reorient --help`` lists."""
     words = sys.argv[1:] if arguments is None else arguments
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a character that the terminal lacks must not end a measurement
     with tracebacks_shown(TRACEBACK in words):
         _main([word for word in words if word != TRACEBACK])
 

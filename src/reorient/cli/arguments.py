@@ -18,7 +18,7 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, NoReturn, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
-from reorient.errors import OutOfRange, ReorientError
+from reorient.errors import OutOfRange, ReorientError, in_short
 
 T = TypeVar("T")
 _POSITIONAL = object()
@@ -261,13 +261,13 @@ def _converter(kind: Any) -> Callable[[str], Any]:
     def convert(word: str) -> Any:
         if get_origin(kind) is Literal:
             if word not in get_args(kind):
-                raise argparse.ArgumentTypeError(f"expected one of {', '.join(get_args(kind))}, not {word!r}")
+                raise argparse.ArgumentTypeError(f"expected one of {', '.join(get_args(kind))}, not {in_short(word)!r}")
             return word
         try:
             return kind(word)
         except ValueError as error:
             expected = _NUMBERS.get(kind, "a value")
-            raise argparse.ArgumentTypeError(f"expected {expected}, not {word.strip()!r}") from error
+            raise argparse.ArgumentTypeError(f"expected {expected}, not {in_short(word.strip())!r}") from error
 
     return convert
 
@@ -279,7 +279,7 @@ def _wrong_option(words: list[str], options: Mapping[str, _Option]) -> str:
         if not word.startswith("-") or word == "-":
             continue
         if name not in options:
-            return f"unknown option {name!r}{did_you_mean(name, list(options))}"
+            return f"unknown option {in_short(name)!r}{did_you_mean(name, list(options))}"
         args = get_args(options[name].kind) if get_origin(options[name].kind) is tuple else ()
         given = len(list(takewhile(lambda each: each == "-" or not each.startswith("-"), words[place + 1 :])))
         if args and args[-1] is not Ellipsis and given < len(args) and name == word:
@@ -290,10 +290,10 @@ def _wrong_option(words: list[str], options: Mapping[str, _Option]) -> str:
 def _unexpected(word: str, words: list[str]) -> str:
     """The message for a word that the parser could not place."""
     before = [each for each in words[: words.index(word)] if each.startswith("--")]
-    return f"unexpected argument {word.strip()!r}" + (f" after {before[-1]}" if before else "")
+    return f"unexpected argument {in_short(word.strip())!r}" + (f" after {in_short(before[-1])}" if before else "")
 
 
 def did_you_mean(name: str, known: Sequence[str]) -> str:
     """The end of a message about an unknown name: the nearest known one, or nothing."""
-    near = difflib.get_close_matches(name, known, n=1, cutoff=0.7)
+    near = difflib.get_close_matches(name[:200], known, n=1, cutoff=0.7)
     return f": did you mean {near[0]!r}?" if near else ""

@@ -10,7 +10,7 @@ from reorient.cli.goals import print_statement, write_sheet
 from reorient.cli.isolating import IsolationOptions
 from reorient.cli.limits import LimitChoice
 from reorient.cli.stations import StationChoice
-from reorient.errors import ReorientError, check_range
+from reorient.errors import ReorientError, check_counts, check_range
 from reorient.imaging import DepthImage
 from reorient.plugins import in_one_line
 
@@ -42,7 +42,7 @@ class Capture:
     def __post_init__(self) -> None:
         """Raises ReorientError for values out of range."""
         check_range(self, "views")
-        check_range(self, "captures", low=1)
+        check_counts(self, "captures")
         if self.views and self.out.suffix.lower() != ".npz":
             raise ReorientError(f"cannot write a goal of several views as {self.out.name!r}: expected .npz")
 

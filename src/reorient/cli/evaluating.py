@@ -7,7 +7,7 @@ from typing import Annotated
 
 from reorient.cli.arguments import Metavar, Positional
 from reorient.cli.progress import show_progress, table_console
-from reorient.errors import ReorientError, check_range
+from reorient.errors import ReorientError, check_counts, check_range
 from reorient.experiments.evaluation import Evaluation, evaluate
 from reorient.formatting import FigureFormat
 from reorient.runs.pool import Pool
@@ -65,7 +65,7 @@ class Evaluate:
         show_progress("pairs", evaluate(self.config, self.out, self.pool))
         rows = read_rows(self.out)
         with replacing(self.out / "table.md") as temporary:
-            temporary.write_text(markdown_table(rows), encoding="utf-8")
+            temporary.write_text(markdown_table(rows), encoding="utf-8", errors="backslashreplace")
         print_tables(rows, table_console())
         if failed := [row for row in rows if row["message"]]:
             print(
@@ -88,7 +88,7 @@ class Evaluate:
         show_progress("pairs", evaluate_bop(bop, self.out, self.pool))
         table = bop_table(read_rows(self.out))
         with replacing(self.out / "table.md") as temporary:
-            temporary.write_text(table, encoding="utf-8")
+            temporary.write_text(table, encoding="utf-8", errors="backslashreplace")
         print(table + str(self.out / "rows.csv.gz"))
 
 
@@ -116,7 +116,7 @@ class Report:
 
     def __post_init__(self) -> None:
         """Raises ReorientError for values out of range."""
-        check_range(self, "pairs", low=1)
+        check_counts(self, "pairs")
         check_range(self, "pair")
 
     def run(self) -> None:

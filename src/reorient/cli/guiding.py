@@ -13,7 +13,7 @@ from reorient.cli.arguments import Metavar, Positional
 from reorient.cli.isolating import GoalFrame
 from reorient.cli.stations import StationChoice
 from reorient.cli.view_options import ViewOptions
-from reorient.errors import ReorientError, check_range
+from reorient.errors import ReorientError, check_counts, check_range
 from reorient.formatting import format_probability
 
 if TYPE_CHECKING:
@@ -145,7 +145,7 @@ class Guide:
 
     def __post_init__(self) -> None:
         """Raises ReorientError for values out of range."""
-        check_range(self, "parts", low=1)
+        check_counts(self, "parts")
         check_range(self, "timeout_s", above=True)
 
     def run(self) -> int:

@@ -72,7 +72,7 @@ class Train:
 
     def __post_init__(self) -> None:
         """Raises ReorientError for a number of threads below 1."""
-        check_range(self, "threads", low=1)
+        check_range(self, "threads", low=1, high=1024)
 
     def run(self) -> None:
         """Train, and print loss and validation error of each epoch."""

@@ -35,6 +35,6 @@ class Loops:
         show_progress("trials", loops.run_loops(self.config, self.out, self.pool))
         rows = read_loop_rows(self.out)
         with replacing(self.out / "table.md") as temporary:
-            temporary.write_text(markdown_loops(rows), encoding="utf-8")
+            temporary.write_text(markdown_loops(rows), encoding="utf-8", errors="backslashreplace")
         table_console().print(loop_table(rows))
         print(self.out / "rows.csv.gz")

@@ -1,6 +1,7 @@
 """The verbs of object sets: make, list, check, montage."""
 
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,7 +11,7 @@ from trimesh import Trimesh
 
 from reorient.cli.arguments import Positional
 from reorient.cli.progress import show_progress, table_console
-from reorient.errors import ReorientError, check_range
+from reorient.errors import ReorientError, check_counts, check_range
 from reorient.runs.files import make_folder, replacing, write_table
 from reorient.runs.pool import Pool
 from reorient.world.objects import ObjectSet, ObjectSource, split
@@ -44,11 +45,17 @@ class Make:
         from reorient.world.meshes import scale_to_radius
 
         objects = self.objects.open()
+        files = {name: name.replace("/", "__") for name in objects.names}
+        if doubles := [name for name, count in Counter(files.values()).items() if count > 1]:
+            both = [name for name in files if files[name] == doubles[0]]
+            raise ReorientError(
+                f"meshes {' and '.join(map(repr, both))} would both become {doubles[0]}.ply: expected other names"
+            )
         make_folder(self.out)
 
         def states() -> Iterator[tuple[int, int]]:
             for done, name in enumerate(objects.names, 1):
-                path = self.out / f"{name.replace('/', '__')}.ply"
+                path = self.out / f"{files[name]}.ply"
                 if not path.exists() and (mesh := _loaded(objects, name)) is not None:
                     with replacing(path) as temporary:
                         scale_to_radius(mesh, 1.0).export(temporary)
@@ -141,8 +148,8 @@ class Montage:
 
     def __post_init__(self) -> None:
         """Raises ReorientError for values out of range."""
-        check_range(self, "columns", low=1)
-        check_range(self, "size_px", low=8)
+        check_counts(self, "columns")
+        check_range(self, "size_px", low=8, high=4096)
 
     def run(self) -> None:
         """Render and write."""

@@ -27,5 +27,5 @@ def show_progress(description: str, states: Iterator[tuple[int, int] | tuple[int
 
 
 def table_console() -> Console:
-    """A console as wide as the terminal, or wide enough for the tables where there is none."""
-    return Console() if sys.stdout.isatty() else Console(width=120)
+    """A console as wide as the terminal, or wide enough for the tables where there is none. Names are no markup."""
+    return Console(markup=False, emoji=False, width=None if sys.stdout.isatty() else 120)

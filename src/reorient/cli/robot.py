@@ -15,7 +15,7 @@ from reorient.cli.limits import LimitChoice
 from reorient.cli.outputs import LoopOutputs, print_outcome
 from reorient.cli.stations import StationChoice
 from reorient.cli.view_options import ViewOptions, base_in_camera
-from reorient.errors import ReorientError, check_range
+from reorient.errors import ReorientError, check_counts, check_range, reason_of
 
 if TYPE_CHECKING:
     from reorient.controller import Limits, OrientResult, Step, Strategy
@@ -41,7 +41,7 @@ class StrategyChoice:
 
     def __post_init__(self) -> None:
         """Raises ReorientError for values out of range."""
-        check_range(self, "max_images", low=1)
+        check_counts(self, "max_images")
         check_range(self, "eta", high=1, above=True)
         check_range(self, "delta_deg", high=180)
 
@@ -199,7 +199,8 @@ class Replay:
             limits = LimitChoice(**station.record["limits"]).limits(wait_s=0.0)
         except (KeyError, TypeError, ValueError) as error:
             raise ReorientError(
-                f"{str(self.record)!r} lacks valid settings ({error}): expected a folder of `reorient orient --record`"
+                f"{str(self.record)!r} lacks valid settings ({reason_of(error)}): expected a folder of "
+                "`reorient orient --record`"
             ) from error
         translation = bool(station.record.get("translation", False))
         return _Loop(station, station.goal(), load_estimator(estimator_name), strategy, limits, translation)

@@ -5,7 +5,7 @@ from importlib import import_module
 from typing import Protocol, cast, runtime_checkable
 
 from reorient.cli.arguments import did_you_mean
-from reorient.errors import ReorientError
+from reorient.errors import ReorientError, in_short
 
 HELP = ("-h", "--help")
 
@@ -99,7 +99,9 @@ def find(words: list[str]) -> str | None:
     if family and len(words) == 1:
         raise ReorientError(f"incomplete verb {words[0]!r}: expected one of {', '.join(map(repr, family))}")
     asked = " ".join(words[: 2 if family else 1])
-    raise ReorientError(f"unknown verb {asked!r}{did_you_mean(asked, list(VERBS)) or ' (see reorient --help)'}")
+    raise ReorientError(
+        f"unknown verb {in_short(asked)!r}{did_you_mean(asked, list(VERBS)) or ' (see reorient --help)'}"
+    )
 
 
 def overview(family: str = "") -> str:

@@ -11,6 +11,7 @@ import numpy as np
 
 from reorient.controller.guiding import GuideState
 from reorient.errors import ReorientError
+from reorient.runs.files import writing
 from reorient.runs.run import whole_lines
 
 COLUMNS = ("date", "object", "result", "start_deg", "seconds", "final_deg", "confidence", "images", "losses")
@@ -92,7 +93,7 @@ class GuideLog:
         new = not self._path.is_file() or not self._path.stat().st_size
         text = StringIO(newline="")
         csv.writer(text).writerows([*([COLUMNS] if new else []), cells])
-        with self._path.open("a", newline="", encoding="utf-8", errors="backslashreplace") as file:
+        with writing(self._path), self._path.open("a", newline="", encoding="utf-8", errors="backslashreplace") as file:
             file.write(text.getvalue())  # at once: whole lines, whenever the process is killed
 
 

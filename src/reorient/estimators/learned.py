@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from reorient import so3
-from reorient.errors import ReorientError
+from reorient.errors import ReorientError, in_short, reason_of
 from reorient.estimators.base import History, RotationEstimate, check_pair, with_evidence
 from reorient.imaging import DepthImage, without_strays
 from reorient.imaging.virtual_camera import (
@@ -27,7 +27,8 @@ from reorient.registration import DepthView
 
 SWIFT_ROUNDS = 3  # from the second on it estimates the rotation left by the answer so far
 NEAR_RAD = float(np.radians(3))  # below this the exchanged pair, too, is like those it was trained on
-INTERFACE = [("images", 2, 128, 128), ("quat_wxyz", 4)]  # names and shapes of an export, by definition
+INTERFACE = [("images", 2, 128, 128, "float"), ("quat_wxyz", 4, "float")]  # of an export: names, shapes, types
+MOST_ROUNDS = 20
 
 
 @cache
@@ -48,12 +49,27 @@ def load_session(weights: str | Path) -> Any:
         session = onnxruntime.InferenceSession(file.read_bytes(), options, providers=["CPUExecutionProvider"])
     except Exception as error:  # the runtime raises errors of its own
         raise ReorientError(f"cannot read weights {str(file)!r}: expected what `reorient export` wrote") from error
-    interface = [(x.name, *x.shape[1:]) for x in (*session.get_inputs(), *session.get_outputs())]
+    interface = [(x.name, *x.shape[1:], x.type[7:-1]) for x in (*session.get_inputs(), *session.get_outputs())]
     if interface != INTERFACE:
         raise ReorientError(
-            f"{str(file)!r} holds another network, of {interface}: expected {INTERFACE}, what `reorient export` wrote"
+            f"{str(file)!r} holds another network, of {in_short(interface, 300)}: expected {INTERFACE}, what `reorient "
+            "export` wrote"
         )
     return session
+
+
+def _stated_rounds(session: Any, weights: str | Path) -> int:
+    """The rounds that a file of weights states, by default 1. Raises ReorientError for none from 1 to 20."""
+    try:
+        stated = str(session.get_modelmeta().custom_metadata_map.get("rounds", "1"))
+    except UnicodeDecodeError:
+        stated = "text that is none"
+    if not (stated.isascii() and stated.isdecimal() and len(stated) < 3 and 1 <= int(stated) <= MOST_ROUNDS):
+        raise ReorientError(
+            f"{str(weights)!r} states {in_short(stated)!r} rounds: expected a whole number from 1 to {MOST_ROUNDS}, "
+            "what `reorient export` wrote"
+        )
+    return int(stated)
 
 
 class Learned:
@@ -67,8 +83,7 @@ class Learned:
 
     def __init__(self, weights: Literal["paper", "swift"] | Path, rounds: int | None = None) -> None:
         self._session = load_session(weights)
-        stated = self._session.get_modelmeta().custom_metadata_map
-        self._rounds = int(stated.get("rounds", 1)) if rounds is None else rounds
+        self._rounds = _stated_rounds(self._session, weights) if rounds is None else rounds
 
     def estimate(
         self,
@@ -119,8 +134,15 @@ class Learned:
         virtual: VirtualCamera,
     ) -> Float32[np.ndarray, "n 4"]:
         images = network_input(np.stack([current_m, goal_m], axis=1), virtual.tangent)
-        quat_wxyz: Float32[np.ndarray, "n 4"] = self._session.run(None, {"images": images})[0]
-        return quat_wxyz
+        try:
+            quat_wxyz = self._session.run(None, {"images": images})[0]
+        except Exception as error:  # the runtime raises errors of its own
+            raise ReorientError(
+                f"the network fails ({reason_of(error)}): expected weights that `reorient export` wrote"
+            ) from error
+        if quat_wxyz.shape != (len(images), 4) or not np.all(np.linalg.norm(quat_wxyz, axis=1) > 0):
+            raise ReorientError("the network returns no quaternions: expected weights that `reorient export` wrote")
+        return np.asarray(quat_wxyz)
 
     def _answer_wxyz(
         self,

@@ -14,13 +14,14 @@ import numpy as np
 from jaxtyping import Float
 
 from reorient import so3
-from reorient.errors import ReorientError
+from reorient.errors import ReorientError, in_short, reason_of
 from reorient.registration import INLIER_TOLERANCE, DepthView, Hypotheses, Problem, normal_equations
 from reorient.registration.hypotheses import rotate
 
 WEIGHTS = Path(__file__).with_name("verifier.npz")
 TOLERANCES = tuple(factor * INLIER_TOLERANCE for factor in (0.25, 0.5, 1, 2))  # relative to the object diameter
 POINTS = 1000  # of each image
+MOST_DEPTH = 100  # of a tree
 
 _ONE_WAY = (
     *(f"inlier {tolerance}" for tolerance in TOLERANCES),
@@ -181,6 +182,10 @@ class Verifier:
     def probability(self, log_odds: Float[np.ndarray, " k"], group: str) -> Float[np.ndarray, " k"]:
         """Calibrated probability; by effort, as a longer search leaves more wrong hypotheses that fit well, or by the
         number of goal views."""
+        if group not in self.calibration:
+            raise ReorientError(
+                f"the verifier is not calibrated for {group!r}: expected one of {list(self.calibration)}"
+            )
         scale, shift = self.calibration[group]
         return 1 / (1 + np.exp(-(scale * log_odds + shift)))
 
@@ -194,10 +199,13 @@ def load_verifier(path: Path = WEIGHTS, expected: tuple[str, ...] = FEATURES) ->
             trees = {name: arrays[name] for name in ("feature", "threshold", "left", "right", "value")}
             calibration = dict(zip(arrays["efforts"].tolist(), map(tuple, arrays["calibration"].tolist()), strict=True))
             depth, baseline = int(arrays["depth"]), float(arrays["baseline"])
+            if not (0 <= depth <= MOST_DEPTH and calibration):
+                raise ValueError(f"trees of depth {in_short(depth)}, {len(calibration)} calibrations")
             verifier = Verifier(**trees, depth=depth, baseline=baseline, calibration=calibration)
-    except (OSError, ValueError, KeyError) as error:
+            verifier.log_odds(np.zeros((1, len(names))))  # of trees that fit together
+    except Exception as error:
         raise ReorientError(
-            f"cannot read the verifier {str(path)!r} ({error}): expected the package's verifier.npz"
+            f"cannot read the verifier {str(path)!r} ({reason_of(error)}): expected the package's verifier.npz"
         ) from error
     if names != expected:
         raise ReorientError(f"the verifier {str(path)!r} was trained on the features of another version: train it anew")

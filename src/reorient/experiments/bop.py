@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from reorient import se3, so3
-from reorient.errors import ReorientError, check_range
+from reorient.errors import ReorientError, check_counts, check_distinct, check_range, reason_of
 from reorient.estimators import load_estimator
 from reorient.experiments.bop_data import View, load_model, views
 from reorient.experiments.cached import cached_estimator
@@ -45,7 +45,8 @@ class BopEvaluation:
     def __post_init__(self) -> None:
         """Raises ReorientError for what cannot be measured."""
         check_range(self, "seed")
-        check_range(self, "pairs", low=1)
+        check_counts(self, "pairs")
+        check_distinct(self, "estimators", "objects")
         if not self.estimators:
             raise ReorientError("no estimators: expected at least one")
 
@@ -114,7 +115,7 @@ def _view(
         key = int(row["scene_id"]), int(row["obj_id"]), int(row[f"im_id{which}"])
         annotation = int(row[f"gt_id{which}"]) if row.get(f"gt_id{which}") else None
     except (TypeError, ValueError) as error:
-        raise ReorientError(f"line {line} of {str(path)!r}: expected whole numbers ({error})") from error
+        raise ReorientError(f"line {line} of {str(path)!r}: expected whole numbers ({reason_of(error)})") from error
     fitting = [view for view in places.get(key, []) if annotation in (None, view.annotation)]
     if len(fitting) != 1:
         raise ReorientError(

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError
 
 from reorient import se3, so3
-from reorient.errors import ReorientError
+from reorient.errors import ReorientError, reason_of
 from reorient.imaging import DepthImage, isolate
 from reorient.imaging.documents import read_document
 from reorient.imaging.files import read_depth, read_mask
@@ -146,8 +146,12 @@ def _expected(file: Path, contents: str) -> Iterator[None]:
     """Report what is missing or wrong in the contents of a file as a ReorientError."""
     try:
         yield
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
-        raise ReorientError(f"{str(file)!r} is not in BOP's layout ({error!r}): expected {contents}") from error
+    except ReorientError:
+        raise
+    except Exception as error:
+        raise ReorientError(
+            f"{str(file)!r} is not in BOP's layout ({reason_of(error)}): expected {contents}"
+        ) from error
 
 
 @lru_cache(maxsize=64)

@@ -17,7 +17,7 @@ from numpy.random import Generator
 
 from reorient import so3
 from reorient.controller import OrientResult, Step, orient
-from reorient.errors import ReorientError, StationError, check_angles, check_range
+from reorient.errors import ReorientError, StationError, check_angles, check_counts, check_distinct, check_range
 from reorient.experiments.cached import cached_object
 from reorient.experiments.systems import load_system
 from reorient.extras import extras_named
@@ -71,7 +71,8 @@ class Experiment:
         for system in self.systems:
             load_system(system)
         check_angles(self, "ranges_deg", above=True)
-        check_range(self, "objects", "trials", low=1)
+        check_counts(self, "objects", "trials")
+        check_distinct(self, "systems", "ranges_deg")
         check_range(self, "seed")
         check_range(self, "noise_mm", high=100, below=True)
         check_range(self, "slip_nm", above=True)

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from reorient import so3
-from reorient.errors import ReorientError, check_angles, check_range
+from reorient.errors import ReorientError, check_angles, check_counts, check_distinct, check_range, reason_of
 from reorient.estimators import load_estimator
 from reorient.estimators.base import Estimator, RotationEstimate, as_estimate, for_any_goal
 from reorient.experiments.cached import cached_estimator, cached_object
@@ -102,9 +102,10 @@ class Evaluation:
         """Raises ReorientError for what cannot be measured."""
         check_angles(self, "ranges_deg")
         check_range(self, "noise_mm", "seed")
-        check_range(self, "pairs", low=1)
+        check_counts(self, "pairs")
         check_range(self, "goal_views", low=1, high=ALL_ROUND)
         check_range(self, "slip_deg", high=180)
+        check_distinct(self, "estimators", "ranges_deg", "noise_mm", "goal_views")
         if not self.estimators:
             raise ReorientError("no estimators: expected at least one")
 
@@ -154,7 +155,9 @@ def read_config(path: Path) -> Evaluation:
             data[name] = tuple(data[name])
         return Evaluation(source, **data)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ReorientError(f"broken {str(file)!r} ({error}): expected the config of an evaluation") from error
+        raise ReorientError(
+            f"broken {str(file)!r} ({reason_of(error)}): expected the config of an evaluation"
+        ) from error
 
 
 def regenerate(config: Evaluation, row: Row) -> tuple[Pair, Renderer]:

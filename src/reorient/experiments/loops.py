@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from reorient import so3
 from reorient.controller import Limits, Step, orient
-from reorient.errors import OutOfRange, ReorientError, check_range
+from reorient.errors import MOST, OutOfRange, ReorientError, check_counts, check_distinct, check_range
 from reorient.experiments.cached import cached_object
 from reorient.experiments.systems import load_system, names_of
 from reorient.imaging import Goal, GoalView
@@ -86,8 +86,11 @@ class Loops:
                 raise OutOfRange("start_deg", self.start_deg, "degrees above 0, at most 180, or 'any'")
         check_range(self, "noise_mm", "slack_deg", "seed")
         check_range(self, "faults", high=1)
-        check_range(self, "objects", "trials", low=1)
+        check_counts(self, "objects", "trials")
         check_range(self, "goal_views", low=1, high=ALL_ROUND)
+        check_distinct(self, "systems", "start_deg", "noise_mm")
+        if self.objects * self.trials > MOST:
+            raise OutOfRange("trials", self.trials, f"with {self.objects} objects at most {MOST // self.objects}")
         if not (self.systems and self.start_deg):
             raise ReorientError("expected at least one system and one start")
 

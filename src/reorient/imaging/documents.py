@@ -4,6 +4,7 @@ Nothing in a file is executed: pickles are refused, YAML is read without objects
 """
 
 import json
+import os
 import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable
@@ -23,9 +24,9 @@ _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\Z")
 def existing(path: str | Path, what: str) -> Path:
     """The path of a file. Raises ReorientError where there is none, and for a folder."""
     path = Path(path)
-    if path.is_dir():
+    if os.path.isdir(path):
         raise ReorientError(f"{str(path)!r} is a folder: expected a file")
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise ReorientError(f"no {what} at {str(path)!r}: expected an existing file")
     return path
 

@@ -1,6 +1,8 @@
 """Reading pair sets: every pair by its index, and orders that read each chunk once per epoch."""
 
-from collections.abc import Sequence
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -10,9 +12,10 @@ import zarr
 from jaxtyping import Float, Int, UInt16
 from numpy.random import Generator
 
-from reorient.errors import ReorientError
+from reorient.errors import ReorientError, reason_of
 from reorient.imaging import Camera
 from reorient.learning.pair_store import CHUNKS_A_SHARD, has_shard
+from reorient.world.meshes import MOST_VERTICES
 from reorient.world.objects import ObjectSource
 from reorient.world.pairs import PairSet
 from reorient.world.rendering import load_world
@@ -40,27 +43,60 @@ class PairReader:
 
     def __init__(self, path: str | Path) -> None:
         """Raises ReorientError if there is no complete set at the path."""
-        try:
-            self._group = zarr.open_group(str(path), mode="r")
+        self._path = str(path)
+        with self._reading():
+            self._group = zarr.open_group(self._path, mode="r")
             described = dict(cast(Any, self._group.attrs["config"]))
             self.config = PairSet(ObjectSource.from_json(described.pop("objects")), **described)
-            self.names = tuple(cast(Any, self._group.attrs["names"]))
-        except (FileNotFoundError, KeyError, ValueError, TypeError) as error:
-            raise ReorientError(f"no pairs in {str(path)!r}: expected what `reorient generate` wrote") from error
-        self.camera: Camera = load_world(self.config.world).camera
-        total, shard = len(self.names) * self.config.pairs_per_object, self.config.chunk * CHUNKS_A_SHARD
-        missing = sum(not has_shard(self._group, i) for i in range(-(-total // shard)))
+            self.names = tuple(map(str, cast(Any, self._group.attrs["names"])))
+            world = load_world(self.config.world)
+            self.camera: Camera = world.camera
+            self.quantum_m = world.quantum_m
+            total, shard = len(self.names) * self.config.pairs_per_object, self.config.chunk * CHUNKS_A_SHARD
+            missing = sum(not has_shard(self._group, i) for i in range(-(-total // shard)))
         if missing:
             raise ReorientError(
-                f"{missing} shards of {str(path)!r} are missing: expected `reorient generate` to have ended"
+                f"{missing} shards of {self._path!r} are missing: expected `reorient generate` to have ended"
             )
-        self.quantum_m = load_world(self.config.world).quantum_m
-        self._labels = {name: cast(Any, self._group[name])[:] for name in ("quat_wxyz", "quat_start_wxyz", "pivot_m")}
-        self._current, self._goal = cast(Any, self._group["current"]), cast(Any, self._group["goal"])
-        self.vertices: Float[np.ndarray, "objects 500 3"] = cast(Any, self._group["vertices"])[:]
-        """Vertices of each object over its bounding radius; rows from ``vertex_count`` on are zero."""
-        self.vertex_count: Int[np.ndarray, " objects"] = cast(Any, self._group["vertex_count"])[:]
+        with self._reading():
+            self._labels = {
+                name: self._array(name, (total, width))[:]
+                for name, width in (("quat_wxyz", 4), ("quat_start_wxyz", 4), ("pivot_m", 3))
+            }
+            self._opened: dict[int, tuple[Any, Any]] = {}
+            self._images()
+            self.vertices: Float[np.ndarray, "objects 500 3"] = self._array(
+                "vertices", (len(self.names), MOST_VERTICES, 3)
+            )[:]
+            """Vertices of each object over its bounding radius; rows from ``vertex_count`` on are zero."""
+            self.vertex_count: Int[np.ndarray, " objects"] = self._array("vertex_count", (len(self.names),))[:]
         self._chunks: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+
+    @contextmanager
+    def _reading(self) -> Iterator[None]:
+        """A block that reads the set: ReorientError for whatever Zarr and its codecs raise on a broken one."""
+        try:
+            yield
+        except Exception as error:
+            raise ReorientError(
+                f"no pairs in {self._path!r} ({reason_of(error)}): expected what `reorient generate` wrote"
+            ) from error
+
+    def _array(self, name: str, shape: tuple[int, ...]) -> Any:
+        """An array of the set. Raises ValueError for one of another shape or of no numbers."""
+        array = cast(Any, self._group[name])
+        if array.shape != shape or array.dtype.kind not in "fiu":
+            raise ValueError(f"{name} of shape {array.shape}, {array.dtype}")
+        return array
+
+    def _images(self) -> tuple[Any, Any]:
+        """The arrays of current and goal, opened by this process: the connections of a URL do not outlive a fork."""
+        process = os.getpid()
+        if process not in self._opened:
+            self._group = zarr.open_group(self._path, mode="r")
+            shape = (len(self.names) * self.config.pairs_per_object, self.camera.height, self.camera.width)
+            self._opened = {process: (self._array("current", shape), self._array("goal", shape))}
+        return self._opened[process]
 
     def order(self, objects: Sequence[int], rng: Generator, window: int = 64) -> Int[np.ndarray, " pairs"]:
         """Indices of all pairs of some objects: chunks in random order, pairs shuffled within ``window`` chunks."""
@@ -85,5 +121,7 @@ class PairReader:
             if len(self._chunks) >= _CHUNKS_KEPT:
                 self._chunks.pop(next(iter(self._chunks)))
             rows = slice(k * self.config.chunk, (k + 1) * self.config.chunk)
-            self._chunks[k] = self._current[rows], self._goal[rows]
+            with self._reading():
+                current, goal = self._images()
+                self._chunks[k] = current[rows], goal[rows]
         return self._chunks[k]

@@ -9,6 +9,7 @@ import json
 import shutil
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -20,6 +21,7 @@ from zarr.codecs import BloscCodec
 
 from reorient import so3
 from reorient.errors import ReorientError
+from reorient.runs.files import locked, make_folder
 from reorient.runs.pool import Pool
 from reorient.world.meshes import MOST_VERTICES, some_vertices
 from reorient.world.objects import ObjectSet, ObjectSource
@@ -50,8 +52,21 @@ class Progress:
 def generate(config: PairSet, path: str | Path, pool: Pool | None = None) -> Iterator[Progress]:
     """Draw the set into ``path`` (a folder or an fsspec URL), yielding after every shard; a rerun adds missing ones.
 
-    Raises ReorientError where ``path`` holds another set or something else.
+    Raises ReorientError where ``path`` holds another set or something else, and where another process is writing into
+    a folder; two processes at one URL write the same bytes.
     """
+    with nullcontext() if "://" in str(path) else _locked(Path(path)):
+        yield from _generate(config, path, pool)
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """A lock beside the folder, which is emptied where a set was only begun."""
+    with locked(make_folder(folder.parent) / f".{folder.name}.lock"):
+        yield
+
+
+def _generate(config: PairSet, path: str | Path, pool: Pool | None) -> Iterator[Progress]:
     group = _create(config, str(path))
     shard = config.chunk * CHUNKS_A_SHARD
     total = cast(Any, group[WHOLE]).shape[0]

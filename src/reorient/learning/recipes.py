@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from reorient.errors import check_range, unknown_name
+from reorient.errors import check_counts, check_range, unknown_name
 
 NetworkName = Literal["paper", "swift"]
 LossName = Literal["mean", "shapematch", "hybrid", "chord"]
@@ -54,7 +54,7 @@ class Training:
 
     def __post_init__(self) -> None:
         """Raises ReorientError for values outside their range."""
-        check_range(self, "epochs", "batch", "patience", "validation_pairs", low=1)
+        check_counts(self, "epochs", "batch", "patience", "validation_pairs")
         check_range(self, "seed", "noise", "weight_decay")
         check_range(self, "rotated", high=1)
         check_range(self, "dropout", high=1, below=True)

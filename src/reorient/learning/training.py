@@ -11,6 +11,7 @@ import math
 import os
 import time
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -29,7 +30,7 @@ from reorient.learning.network import build
 from reorient.learning.pair_reader import PairReader
 from reorient.learning.recipes import LossName, Training, lr_at
 from reorient.learning.weights import last_state, load_weights, loading
-from reorient.runs.files import make_folder, replacing
+from reorient.runs.files import locked, make_folder, replacing
 from reorient.runs.provenance import commit, read_record
 from reorient.world.objects import Split, split
 
@@ -71,15 +72,16 @@ def train(
     ``warm_start``: initial weights, of a run (.safetensors) or an export (.onnx); hybrid and chord then have no first
     epoch of the mean loss, which is for untrained weights. Several processes and machines: start the command with
     ``torchrun``; each process takes its part of every step's pairs. Raises ReorientError for another config in ``out``,
-    and for weights that do not fit the network.
+    for weights that do not fit the network, and where another training is writing into ``out``.
     """
     reader = PairReader(pairs)
     parts = split(reader.names, config.test_objects)
     make_folder(out)
     fabric = _launch(config, out)
-    run = _Run(config, reader, parts, out, fabric, warm_start)
-    while run.state["epoch"] < config.epochs and not run.state["finished"]:
-        yield from run.epoch(save_every_s)
+    with locked(out / ".lock") if fabric.global_rank == 0 else nullcontext():
+        run = _Run(config, reader, parts, out, fabric, warm_start)
+        while run.state["epoch"] < config.epochs and not run.state["finished"]:
+            yield from run.epoch(save_every_s)
 
 
 def _launch(config: Training, out: Path) -> Fabric:

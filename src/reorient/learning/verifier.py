@@ -66,6 +66,7 @@ def read(folder: Path) -> Shards:
                     raise ReorientError(f"{str(file)!r} holds features of another version: expected it made anew")
                 if "figures" in arrays:
                     parts.append([arrays[name] for name in ("figures", "error_deg", "pair", "object")])
+                    _check_shapes(parts[-1], len(names))
         except ReorientError:
             raise
         except Exception as error:  # numpy raises whatever it likes on broken files
@@ -75,6 +76,13 @@ def read(folder: Path) -> Shards:
     if not parts:
         raise ReorientError(f"no shards in {str(folder)!r}: expected the folder of `reorient verifier make`")
     return Shards(found.pop(), *(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def _check_shapes(columns: list[np.ndarray], width: int) -> None:
+    """Raise ValueError for columns that are no table of numbers."""
+    n = len(columns[0])
+    if [x.shape for x in columns] != [(n, width), (n,), (n,), (n,)] or any(x.dtype.kind not in "fiu" for x in columns):
+        raise ValueError(f"columns of shapes {', '.join(str(x.shape) for x in columns)}")
 
 
 # --- training -------------------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from numpy.random import Generator
 
 from reorient import so3
-from reorient.errors import ReorientError, check_range, unknown_name
+from reorient.errors import ReorientError, check_counts, check_range, unknown_name
 from reorient.estimators.base import History
 from reorient.estimators.image_evidence import evidence_images
 from reorient.estimators.search import EFFORTS, search
@@ -83,7 +83,7 @@ class VerifierData:
         load_world(self.world)
         if self.effort not in EFFORTS:
             raise unknown_name("effort", self.effort, list(EFFORTS))
-        check_range(self, "pairs", "per_shard", low=1)
+        check_counts(self, "pairs", "per_shard")
         check_range(self, "seed", "most_noise_mm")
         check_range(self, "goal_views", low=1, high=ALL_ROUND)
         check_range(self, "views_now", low=1, high=1 + OBSERVATIONS)

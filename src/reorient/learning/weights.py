@@ -8,13 +8,11 @@ from typing import Any
 
 import onnx
 import torch
-from google.protobuf.message import DecodeError
 from onnx import numpy_helper
-from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
-from reorient.errors import ReorientError
+from reorient.errors import ReorientError, in_short
 
 HALF = "_half"  # suffix of weights that an export stores as float16
 
@@ -39,16 +37,18 @@ def loading(path: Path, expected: str) -> Iterator[None]:
     """Raise ReorientError for a broken or foreign file, for which the loaders raise many kinds of errors."""
     try:
         yield
-    except (OSError, SafetensorError, DecodeError, KeyError, RuntimeError, ValueError) as error:
-        cause = str(error).strip().splitlines()[0] if str(error) else type(error).__name__
-        raise ReorientError(f"cannot load weights {str(path)!r} ({cause}): expected {expected}") from error
+    except Exception as error:
+        cause = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        raise ReorientError(
+            f"cannot load weights {str(path)!r} ({in_short(cause, 200)}): expected {expected}"
+        ) from error
 
 
 def last_state(path: Path) -> dict[str, Any]:
     """The state that a run saved last, its network and optimizer included."""
     try:
         return dict(torch.load(path, weights_only=True))
-    except (EOFError, UnpicklingError, TypeError) as error:  # their messages advise to load the file unsafely
+    except (EOFError, UnpicklingError, TypeError, IndexError) as error:  # they advise to load it unsafely
         raise RuntimeError("no state of a training") from error
 
 

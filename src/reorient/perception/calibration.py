@@ -5,6 +5,7 @@ As JSON, pixel centres at +0.5, ``color`` optional:
 """
 
 import json
+import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from reorient import se3, so3
-from reorient.errors import ReorientError
+from reorient.errors import ReorientError, reason_of
 from reorient.imaging import Camera
 from reorient.imaging.documents import parse_json
 from reorient.imaging.intrinsics import camera_from
@@ -50,18 +51,17 @@ class Calibration:
 def read_calibration(path: str | Path) -> Calibration:
     """Read a calibration file. Raises ReorientError, naming the missing or invalid entry."""
     path = Path(path)
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise ReorientError(f"no calibration file {str(path)!r}: expected JSON with 'depth' and perhaps 'color'")
     try:
         data = parse_json(path.read_text(encoding="utf-8-sig", errors="replace"))
         color = data.get("color")
         return Calibration(_mounted(data, "depth"), None if color is None else _mounted(data, "color"))
     except json.JSONDecodeError as error:
-        raise ReorientError(f"calibration file {str(path)!r} is not JSON ({error})") from error
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        what = f"no {error}" if isinstance(error, KeyError) else str(error)
+        raise ReorientError(f"calibration file {str(path)!r} is not JSON ({reason_of(error)})") from error
+    except Exception as error:
         raise ReorientError(
-            f"broken calibration file {str(path)!r} ({what}): expected for 'depth', and perhaps 'color', "
+            f"broken calibration file {str(path)!r} ({reason_of(error)}): expected for 'depth', and perhaps 'color', "
             "a camera (width, height, fx, fy, cx, cy) and T_world_camera (4 x 4)"
         ) from error
 

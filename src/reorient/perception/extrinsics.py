@@ -6,6 +6,7 @@ T_base_camera or its inverse cannot be read from it: only a motion of the robot 
 """
 
 import json
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from reorient import se3, so3
-from reorient.errors import ReorientError
+from reorient.errors import ReorientError, reason_of
 from reorient.imaging.depth_image import MILLIMETRES_ABOVE
 from reorient.se3 import Transform
 
@@ -30,12 +31,12 @@ _OPENCV = re.compile(r"(\w+):\s*!!opencv-matrix.*?data:\s*\[(.*?)\]", re.DOTALL)
 def read_hand_eye(path: str | Path) -> Transform:
     """The transform in a file, metres. Raises ReorientError where there is none, and for a camera on the hand."""
     path = Path(path)
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise ReorientError(f"no hand-eye file {str(path)!r}: {_EXPECTED}")
     try:
         T = _transform(_entries(path))
-    except (ValueError, KeyError, TypeError, IndexError, OSError) as error:
-        raise ReorientError(f"cannot read a transform from {str(path)!r} ({error}): {_EXPECTED}") from error
+    except Exception as error:
+        raise ReorientError(f"cannot read a transform from {str(path)!r} ({reason_of(error)}): {_EXPECTED}") from error
     if not so3.is_rotation(T[:3, :3], 1e-2) or not np.allclose(T[3], [0, 0, 0, 1]):
         raise ReorientError(f"the matrix in {str(path)!r} is no rigid transform: {_EXPECTED}")
     if np.linalg.norm(T[:3, 3]) > MILLIMETRES_ABOVE:
@@ -49,12 +50,12 @@ def read_hand_eye(path: str | Path) -> Transform:
 
 def _entries(path: Path) -> dict[str, Any]:
     """The named values of a file, nested ones as ``outer.inner``; a bare array is named "matrix"."""
-    if path.suffix == ".npy":
+    if path.suffix.lower() == ".npy":
         return {"matrix": np.load(path)}
-    if path.suffix == ".npz":
+    if path.suffix.lower() == ".npz":
         with np.load(path) as arrays:
             return {name: arrays[name] for name in arrays}
-    text = path.read_text(encoding="utf-8", errors="replace")
+    text = path.read_text(encoding="utf-8-sig", errors="replace")
     try:
         data = json.loads(text)
         return _flat(data) if isinstance(data, dict) else {"matrix": data}

@@ -4,6 +4,7 @@ As JSON: ``{"T_base_camera": [4 rows], "p_tool_object_m": [x, y, z], ...}``, met
 """
 
 import json
+import os
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from reorient import se3, so3
-from reorient.errors import ReorientError, check_range
+from reorient.errors import ReorientError, check_range, reason_of
 from reorient.imaging.depth_image import MILLIMETRES_ABOVE
 from reorient.runs.files import replacing
 from reorient.se3 import Transform
@@ -63,17 +64,17 @@ class RobotCalibration:
 def read_robot_calibration(path: str | Path) -> RobotCalibration:
     """Read a file of ``write_robot_calibration``. Raises ReorientError, naming the missing or invalid entry."""
     path = Path(path)
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise ReorientError(f"no calibration file {str(path)!r}: expected that of `reorient calibrate`")
     try:
-        data = json.loads(path.read_text(encoding="utf-8", errors="replace"))
+        data = json.loads(path.read_text(encoding="utf-8-sig", errors="replace"))
         known = {field.name for field in fields(RobotCalibration)}
         arrays = {name: np.array(data[name], float) for name in ("T_base_camera", "p_tool_object_m")}
         return RobotCalibration(**{name: value for name, value in data.items() if name in known} | arrays)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        what = f"no {error}" if isinstance(error, KeyError) else str(error)
+    except Exception as error:
         raise ReorientError(
-            f"broken calibration file {str(path)!r} ({what}): expected T_base_camera (4 x 4) and p_tool_object_m"
+            f"broken calibration file {str(path)!r} ({reason_of(error)}): expected T_base_camera (4 x 4) and "
+            "p_tool_object_m"
         ) from error
 
 

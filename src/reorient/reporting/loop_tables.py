@@ -27,8 +27,12 @@ _ON_SCREEN = 8  # columns that fit
 
 
 def read_loop_rows(folder: Path) -> list[Row]:
-    """The rows of a run of ``reorient loops``. Raises ReorientError as ``read_table``."""
-    return read_table(folder / "rows.csv.gz", COLUMNS)
+    """The rows of a run of ``reorient loops``. Raises ReorientError as ``read_table`` and ``numbers``."""
+    rows = read_table(folder / "rows.csv.gz", COLUMNS)
+    for column in ("noise_mm", "slack_deg", "faults", "moves", "images", "error_sym_deg"):
+        numbers(rows, column)
+    numbers([row for row in rows if row["seconds"]], "seconds")
+    return rows
 
 
 def loop_table(rows: Sequence[Row]) -> Table:

@@ -35,7 +35,7 @@ def write_page(
 ) -> Path:
     """Write ``page(...)`` to a file; returns its path. Raises ReorientError where it cannot be written."""
     with replacing(path) as temporary:
-        temporary.write_text(page(title, lead, sections, data), encoding="utf-8")
+        temporary.write_text(page(title, lead, sections, data), encoding="utf-8", errors="backslashreplace")
     return path
 
 

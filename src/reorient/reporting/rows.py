@@ -11,13 +11,14 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import binomtest
 
-from reorient.errors import ReorientError
+from reorient.errors import ReorientError, in_short, reason_of
 from reorient.runs.run import Row
 
 NEEDED = (
     *("object", "pair", "world", "noise_mm", "low_deg", "high_deg", "estimator", "angle_deg", "error_deg"),
     *("error_sym_deg", "qw", "qx", "qy", "qz", "seconds", "message"),
 )
+_NUMERIC = tuple(column for column in NEEDED if column not in ("object", "pair", "world", "estimator", "message"))
 OPTIONAL = ("overlap", "confidence", "goal_views", "set_size", "set_covers", "distance2")
 """Empty where rows of an earlier version lack them."""
 CORRECT_DEG = 5.0  # symmetry-aware error below which an estimate is correct
@@ -50,8 +51,16 @@ class Summary:
 
 
 def read_rows(folder: str | Path) -> list[Row]:
-    """The rows of ``rows.csv.gz``. Raises ReorientError where it is missing, broken, empty or lacks columns."""
+    """The rows of ``rows.csv.gz``. Raises ReorientError where it is missing, broken, empty or lacks columns, and for a
+    cell without a number where one is needed."""
     rows = read_table(Path(folder) / "rows.csv.gz", NEEDED)
+    for column in _NUMERIC:
+        numbers(rows, column)
+    for column in ("overlap", "confidence"):
+        numbers([row for row in rows if row.get(column)], column)
+    for row in rows:
+        if not row["pair"].isdecimal():
+            raise _no_number(row, "pair", "a whole number")
     return [_named(dict.fromkeys(OPTIONAL, "") | row) for row in rows]
 
 
@@ -66,20 +75,20 @@ def read_table(file: Path, columns: Sequence[str]) -> list[Row]:
     if not file.is_file():
         raise ReorientError(f"no {str(file)!r}: expected config.json and {file.name} of a run")
     try:
-        with gzip.open(file, "rt", encoding="utf-8", newline="") as text:
+        with gzip.open(file, "rt", newline="", encoding="utf-8") as text:
             reader = csv.DictReader(text)
-            rows = list(reader)
+            rows, present = list(reader), reader.fieldnames or ()
     except (OSError, EOFError, zlib.error, UnicodeDecodeError, csv.Error) as error:
-        raise ReorientError(f"cannot read {str(file)!r} ({error}): expected a complete gzip of a CSV table") from error
-    if missing := [column for column in columns if column not in (reader.fieldnames or ())]:
+        raise ReorientError(
+            f"cannot read {str(file)!r} ({reason_of(error)}): expected a complete gzip of a CSV table"
+        ) from error
+    if missing := [column for column in columns if column not in present]:
         raise ReorientError(f"{str(file)!r} has no column {', '.join(missing)}: expected {', '.join(columns)}")
     if not rows:
         raise ReorientError(f"{str(file)!r} has no rows: expected one for each thing measured")
     for line, row in enumerate(rows, start=2):
         if None in row or None in row.values():
-            raise ReorientError(
-                f"line {line} of {str(file)!r}: expected {len(reader.fieldnames or ())} cells, one for each column"
-            )
+            raise ReorientError(f"line {line} of {str(file)!r}: expected {len(present)} cells, one for each column")
     return rows
 
 
@@ -92,11 +101,13 @@ def numbers(rows: Sequence[Row], column: str) -> Float[np.ndarray, " n"]:
         except (KeyError, ValueError):
             values[index] = np.nan
         if not np.isfinite(values[index]):
-            raise ReorientError(
-                f"{column} of object {row.get('object')!r}, pair {row.get('pair')} is {row.get(column)!r}: "
-                "expected a finite number"
-            )
+            raise _no_number(row, column, "a finite number")
     return values
+
+
+def _no_number(row: Row, column: str, expected: str) -> ReorientError:
+    place = f"object {in_short(row.get('object'))!r}, pair {in_short(row.get('pair'))}"
+    return ReorientError(f"{column} of {place} is {in_short(row.get(column))!r}: expected {expected}")
 
 
 def estimators(rows: Sequence[Row]) -> list[str]:

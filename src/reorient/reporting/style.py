@@ -23,6 +23,7 @@ REFERENCE = "#7a808c"
 PAGE_INCHES = 10.6
 STYLE: Any = {  # matplotlib types the keys as literals, which no plain dict satisfies
     "font.size": 9.0,
+    "text.parse_math": False,  # a dollar sign in a name is one
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.edgecolor": "#8a919e",

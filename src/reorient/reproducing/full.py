@@ -83,7 +83,9 @@ class Full:
                 make_network(network, setting, folder / "training")
             names = self.objects().open().names
             only = folder / "objects.txt"
-            only.write_text("".join(f"{names[i]}\n" for i in split(names).test), encoding="utf-8")
+            only.write_text(
+                "".join(f"{names[i]}\n" for i in split(names).test), encoding="utf-8", errors="surrogateescape"
+            )
             objects = replace(self.objects(), only=only)
             weights = [str(network.weights(setting)) for network in trained]
             measure_pairs(setting, folder, objects, [*weights, "paper", "swift", "gicp", "icp", NOTHING], self.pairs)

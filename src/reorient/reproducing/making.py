@@ -42,7 +42,7 @@ def _print(name: str, findings: Sequence[Finding]) -> None:
         table.add_column(heading, justify="left" if index in WORDS else "right", no_wrap=index != WORDS[-1])
     for finding in findings:
         table.add_row(*cells(finding))
-    Console(width=max(Console().width, 160)).print(table)
+    Console(width=max(Console().width, 160), markup=False, emoji=False).print(table)
 
 
 def verdicts(figure: Figure, part: Sequence[Finding], whole: Path, folder: Path) -> list[str]:

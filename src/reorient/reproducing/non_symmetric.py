@@ -82,7 +82,11 @@ class NonSymmetric:
             names = source.open().names
             rows.mkdir(exist_ok=True)
             only = rows / "objects.txt"
-            only.write_text("".join(f"{names[i]}\n" for i in split(names, test_objects).test), encoding="utf-8")
+            only.write_text(
+                "".join(f"{names[i]}\n" for i in split(names, test_objects).test),
+                encoding="utf-8",
+                errors="surrogateescape",
+            )
             objects = ObjectSource(only=only, count=self.count, object_seed=self.object_seed)
             weights = [str(network.weights(setting)) for network in trained]
             measure_pairs(setting, rows, objects, [*weights, "swift", "gicp", "icp", NOTHING, RELEASED], self.pairs)

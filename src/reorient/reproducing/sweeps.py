@@ -94,9 +94,8 @@ class SweepFigure:
         sentences = conclude(in_words)
         text = folder / "conclusions.md"
         with replacing(text) as temporary:
-            temporary.write_text(
-                "# Where learning beats geometry\n\n" + "".join(f"- {line}\n" for line in sentences), encoding="utf-8"
-            )
+            lines = "".join(f"- {line}\n" for line in sentences)
+            temporary.write_text(f"# Where learning beats geometry\n\n{lines}", encoding="utf-8")
         rows = [row for levels in sweeps.values() for at in levels.values() for row in at]
         pairs = len({row["pair"] for row in rows})
         lead = (

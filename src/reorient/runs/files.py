@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from filelock import FileLock, Timeout
+
 from reorient.errors import ReorientError
 
 
@@ -21,6 +23,15 @@ def make_folder(path: str | Path) -> Path:
     except OSError as error:
         raise ReorientError(f"cannot make folder {str(path)!r}: {error.strerror or error}") from error
     return path
+
+
+@contextmanager
+def writing(path: str | Path) -> Iterator[None]:
+    """A block that writes a file. Raises ReorientError, naming ``path``, where the system refuses that."""
+    try:
+        yield
+    except OSError as error:
+        raise ReorientError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
 
 
 @contextmanager
@@ -36,12 +47,33 @@ def replacing(path: str | Path) -> Iterator[Path]:
         raise ReorientError(f"cannot write {str(path)!r}: it is a folder, expected a file name")
     temporary = path.with_name(f".{secrets.token_hex(4)}.{path.name}")
     try:
-        yield temporary
-        os.replace(temporary, path)
-    except OSError as error:
-        raise ReorientError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
+        with writing(path):
+            yield temporary
+            os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Held by one process at a time; the system releases it when that process ends, however it ends.
+
+    ``path``: of the lock, in the folder that is written or beside it. Raises ReorientError where another process holds
+    it.
+    """
+    with writing(path):
+        path.touch()  # FileLock takes some errors of the system for a lock of another process
+    lock = FileLock(path, blocking=False)
+    try:
+        lock.acquire()
+    except Timeout as error:
+        raise ReorientError(
+            f"another process is writing into {str(path.parent)!r}: expected to wait until it ends, or a new folder"
+        ) from error
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 def write_table(path: str | Path, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -51,4 +83,4 @@ def write_table(path: str | Path, rows: Sequence[Mapping[str, Any]]) -> None:
     writer.writeheader()
     writer.writerows(rows)
     with replacing(path) as temporary:
-        temporary.write_bytes(gzip.compress(text.getvalue().encode(), mtime=0))
+        temporary.write_bytes(gzip.compress(text.getvalue().encode(errors="backslashreplace"), mtime=0))

@@ -5,18 +5,20 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from threading import Thread
 from typing import Any, Literal, TypeVar
 
-from reorient.errors import OutOfRange
+from reorient.errors import OutOfRange, check_range
 from reorient.extras import import_extra
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 Backend = Literal["processes", "ray"]
 
-_RAY_TASKS = 4  # of each worker in a batch: joblib returns no result of a Ray batch before the whole batch is done
+_RETRIES = 5  # of a task whose node or process ends
 _POLL_S = 0.5
+MOST_WORKERS = 10_000
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,7 @@ class Pool:
         """Raises ReorientError for a number of workers other than -1, 1, 2, ..."""
         if self.workers < 1 and self.workers != -1:
             raise OutOfRange("workers", self.workers, "at least 1, or -1 for one per core")
+        check_range(self, "workers", low=-1, high=MOST_WORKERS)
 
     @property
     def count(self) -> int:
@@ -62,19 +65,32 @@ class Pool:
         yield from parallel(delayed(function)(task) for task in tasks)
 
     def _map_on_ray(self, function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[Result]:
-        from joblib import Parallel, delayed, parallel_config
+        """A task of a node that fails runs again on another one."""
+        ray, count = _ray(), self.count
+        call, shared = ray.remote(num_cpus=1, max_retries=_RETRIES)(_call), ray.put(function)
+        upcoming, running, ended = iter(enumerate(tasks)), dict[Any, int](), dict[int, Any]()
+        try:
+            for wanted in range(len(tasks)):
+                while wanted not in ended:
+                    running |= {call.remote(shared, task): i for i, task in islice(upcoming, count - len(running))}
+                    (reference,), _ = ray.wait(list(running))
+                    ended[running.pop(reference)] = reference
+                try:
+                    yield ray.get(ended.pop(wanted))
+                except ray.exceptions.RayTaskError as error:  # its own text is a traceback
+                    raise error.cause from error
+        finally:
+            for reference in running:  # after an error or an interruption
+                ray.cancel(reference, force=True)
 
-        _ray()
-        count, step = self.count, _RAY_TASKS * self.count
-        with parallel_config(backend="ray", n_jobs=count), Parallel(max_nbytes=None) as parallel:
-            for start in range(0, len(tasks), step):
-                yield from parallel(delayed(function)(task) for task in tasks[start : start + step])
+
+def _call(function: Callable[[Task], Result], task: Task) -> Result:
+    return function(task)
 
 
 def _ray() -> Any:
-    """Ray, connected, and known to joblib."""
-    ray, ray_joblib = import_extra("ray"), import_extra("ray.util.joblib")
-    ray_joblib.register_ray()
+    """Ray, connected."""
+    ray = import_extra("ray")
     if not ray.is_initialized():
         ray.init(include_dashboard=False, log_to_driver=False)
     return ray

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from reorient import __version__
-from reorient.errors import ReorientError
+from reorient.errors import ReorientError, reason_of
 from reorient.runs.files import replacing
 
 
@@ -40,8 +40,8 @@ def read_record(file: Path) -> dict[str, Any]:
     """The record in a file. Raises ReorientError where it is broken."""
     try:
         return dict(json.loads(file.read_text(encoding="utf-8")))
-    except (ValueError, TypeError) as error:
-        raise ReorientError(f"broken {str(file)!r} ({error}): expected the config of a run") from error
+    except (ValueError, TypeError, RecursionError) as error:
+        raise ReorientError(f"broken {str(file)!r} ({reason_of(error)}): expected the config of a run") from error
 
 
 def commit() -> str | None:

@@ -7,14 +7,11 @@ an interrupted or killed run continues where it stopped and ends with the same r
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
-from filelock import FileLock, Timeout
-
-from reorient.errors import ReorientError
-from reorient.runs.files import make_folder, replacing, write_table
+from reorient.errors import ReorientError, reason_of
+from reorient.runs.files import locked, make_folder, replacing, write_table, writing
 from reorient.runs.pool import Pool, Task
 from reorient.runs.provenance import keep_record, run_record
 
@@ -75,7 +72,7 @@ def resumable(
         keep_record(folder / CONFIG, record, ("config", *more))
         yield len(tasks), len(tasks)
         return
-    with _locked(folder):
+    with locked(folder / LOCK):
         keep_record(folder / CONFIG, record, ("config", *more))
         done = store.done(folder)
         if strange := done - set(tasks):
@@ -90,18 +87,6 @@ def resumable(
             store.keep(folder, task, result)
             yield count, len(tasks)
         store.pack(folder, list(tasks))
-
-
-@contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Held by one process at a time; the system releases it when that process ends, however it ends."""
-    try:
-        with FileLock(folder / LOCK, blocking=False):
-            yield
-    except Timeout as error:
-        raise ReorientError(
-            f"another process is writing into {str(folder)!r}: expected to wait until it ends, or a new folder"
-        ) from error
 
 
 class RowStore:
@@ -121,7 +106,7 @@ class RowStore:
     def keep(self, folder: Path, task: str, result: Tables) -> None:
         """As ``Store``. Raises ReorientError for columns other than those of the rows kept before."""
         self._check_columns(folder, result)
-        with (folder / "partial.jsonl").open("a", encoding="utf-8") as file:
+        with writing(folder / "partial.jsonl"), (folder / "partial.jsonl").open("a", encoding="utf-8") as file:
             file.write(json.dumps({"task": task} | result) + "\n")
 
     def pack(self, folder: Path, tasks: Sequence[str]) -> None:
@@ -140,10 +125,18 @@ class RowStore:
 
     def _read(self, folder: Path) -> dict[str, Tables]:
         kept = {}
-        for line in whole_lines(folder / "partial.jsonl"):
-            tables = json.loads(line)
-            kept[tables.pop("task")] = tables
-            self._check_columns(folder, tables)
+        for number, line in enumerate(whole_lines(folder / "partial.jsonl"), 1):
+            try:
+                tables = json.loads(line)
+                kept[str(tables.pop("task"))] = tables
+                self._check_columns(folder, tables)
+            except ReorientError:
+                raise
+            except Exception as error:
+                raise ReorientError(
+                    f"line {number} of {str(folder / 'partial.jsonl')!r} is broken ({reason_of(error)}): expected the "
+                    "rows of a task; remove this line to measure it again"
+                ) from error
         return kept
 
     def _check_columns(self, folder: Path, tables: Tables) -> None:
@@ -160,7 +153,7 @@ def whole_lines(path: Path) -> list[str]:
     """The complete lines of a file; an incomplete last line is removed from it."""
     if not path.is_file():
         return []
-    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    lines = path.read_text(encoding="utf-8", errors="replace").splitlines(keepends=True)
     if lines and not lines[-1].endswith("\n"):
         lines.pop()
         with replacing(path) as temporary:

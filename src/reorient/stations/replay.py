@@ -15,7 +15,7 @@ from jaxtyping import Float
 from reorient import so3
 from reorient.controller import OrientResult
 from reorient.controller.station import Station, captured, clock_of, moved, pivot_of
-from reorient.errors import ReorientError, StationError
+from reorient.errors import ReorientError, StationError, in_short, reason_of
 from reorient.imaging import DepthImage, Goal, as_goal
 from reorient.imaging.files import read_depth, write_depth
 from reorient.imaging.goal_files import read_goal, write_goal
@@ -146,9 +146,9 @@ class ReplayedStation:
             self._pivot_m = None if pivot is None else np.array(pivot, float)
             answers = self.record.get("reachable")
             self._answers = [(a["acts"], _rotation(a["R_step"]), bool(a["can"])) for a in answers or ()]
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+        except Exception as error:
             raise ReorientError(
-                f"cannot read {str(file)!r} ({error}): expected a folder of `reorient orient --record`"
+                f"cannot read {str(file)!r} ({reason_of(error)}): expected a folder of `reorient orient --record`"
             ) from error
         for act in self._acts:
             self.file(act.get("capture") or "goal.npz")
@@ -171,7 +171,8 @@ class ReplayedStation:
         path = (self._folder / name).resolve()
         if not path.is_relative_to(self._folder.resolve()):
             raise ReorientError(
-                f"{str(self._folder)!r} names the file {name!r}, which is outside: expected files inside the record"
+                f"{str(self._folder)!r} names the file {in_short(name)!r}, which is outside: expected files "
+                "inside the record"
             )
         return path
 
@@ -232,7 +233,7 @@ def _checked(act: Any) -> dict[str, Any]:
         moved(act["move"])
         np.array(act["executed"], float)
     elif not act.get("error") and not isinstance(act["capture"], str):
-        raise ValueError(f"a capture of {act['capture']!r}")
+        raise ValueError(f"a capture of {in_short(act['capture'])}")
     return dict(act)
 
 
@@ -249,7 +250,7 @@ def _rotation(R: Any) -> Float[np.ndarray, "3 3"]:
     """A rotation matrix. Raises ValueError or TypeError where it is none."""
     matrix = np.array(R, float)
     if not so3.is_rotation(matrix):
-        raise ValueError(f"no rotation: {R}")
+        raise ValueError(f"no rotation: {in_short(R)}")
     return matrix
 
 

@@ -1,5 +1,6 @@
 """``robot.toml``: which camera and arm, their calibration, the isolation of the object, and the limits of the arm."""
 
+import os
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from reorient.errors import ReorientError, unknown_name
+from reorient.errors import ReorientError, in_short, reason_of, unknown_name
 from reorient.imaging import Isolation
 from reorient.perception.robot_calibration import RobotCalibration, read_robot_calibration
 from reorient.stations.drivers import ARMS, CAMERAS, CameraDriver, make_arm, make_camera
@@ -80,7 +81,7 @@ class RobotFile:
 
     def read_calibration(self) -> RobotCalibration:
         """The calibration. Raises ReorientError where there is none yet."""
-        if not self.calibration.is_file():
+        if not os.path.isfile(self.calibration):
             raise ReorientError(
                 f"no calibration {str(self.calibration)!r}: expected `reorient calibrate {self.path.name}` first"
             )
@@ -95,13 +96,13 @@ class RobotFile:
 def read_robot_file(path: str | Path) -> RobotFile:
     """Read a ``robot.toml``. Raises ReorientError, naming the table and the key that is missing, unknown or wrong."""
     path = Path(path)
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise ReorientError(f"no file {str(path)!r}: expected one that `reorient new-robot` wrote")
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise ReorientError(
-            f"{str(path)!r} is not TOML ({error}): expected a file as of `reorient new-robot`"
+            f"{str(path)!r} is not TOML ({reason_of(error)}): expected a file as of `reorient new-robot`"
         ) from error
     _refuse_unknown(data, [*_TABLES, "calibration"], str(path))
     tables = {name: _table(data, name, path) for name in _TABLES}
@@ -111,7 +112,7 @@ def read_robot_file(path: str | Path) -> RobotFile:
     _refuse_unknown(tables["tool"], ["point_m"], f"[tool] of {str(path)!r}")
     calibration = data.get("calibration", "calibration.json")
     if not isinstance(calibration, str):
-        raise ReorientError(f"calibration = {calibration!r} in {str(path)!r}: expected the name of a file")
+        raise ReorientError(f"calibration = {in_short(calibration)} in {str(path)!r}: expected the name of a file")
     return RobotFile(
         path,
         tables["camera"],
@@ -130,17 +131,17 @@ def _driver(table: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
 def _table(data: Mapping[str, Any], name: str, path: Path) -> Mapping[str, Any]:
     table = data.get(name, {})
     if not isinstance(table, dict):
-        raise ReorientError(f"{name} = {table!r} in {str(path)!r}: expected a table [{name}]")
+        raise ReorientError(f"{name} = {in_short(table)} in {str(path)!r}: expected a table [{name}]")
     return table
 
 
 def _vector(value: object, path: Path) -> Float[np.ndarray, "3"]:
     try:
         vector_m = np.asarray(value, float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         vector_m = np.empty(0)
     if vector_m.shape != (3,) or not np.all(np.isfinite(vector_m)):
-        raise ReorientError(f"point_m = {value!r} in {str(path)!r}: expected three finite metres")
+        raise ReorientError(f"point_m = {in_short(value)} in {str(path)!r}: expected three finite metres")
     return vector_m
 
 
@@ -162,8 +163,8 @@ def _made(kind: type[Any], table: Mapping[str, Any], name: str, path: Path) -> A
         )
     try:
         return kind(**values)
-    except (ReorientError, TypeError) as error:
-        raise ReorientError(f"{source}: {error}") from error
+    except (ValueError, TypeError, OverflowError) as error:
+        raise ReorientError(f"{source}: {reason_of(error)}") from error
 
 
 def _refuse_unknown(table: Mapping[str, Any], known: list[str], source: str) -> None:

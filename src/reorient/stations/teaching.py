@@ -13,7 +13,7 @@ from reorient.controller.arrival import aligned
 from reorient.controller.limits import Limits
 from reorient.controller.session import Session, StationHangs
 from reorient.controller.station import Station, pivot_of
-from reorient.errors import ReorientError, StationError, check_range
+from reorient.errors import ReorientError, StationError, check_counts
 from reorient.estimators.base import check_pair
 from reorient.imaging import DepthImage, Goal, GoalView
 from reorient.imaging.averaging import mean_image
@@ -74,7 +74,7 @@ class _Teaching:
     """Whether a move failed, so that its rotation is unknown."""
 
     def __post_init__(self) -> None:
-        check_range(self, "captures", low=1)
+        check_counts(self, "captures")
         self.session = Session(self.station, self.limits)
 
     def run(self, count: int) -> Taught:

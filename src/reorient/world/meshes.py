@@ -1,12 +1,14 @@
 """Meshes: load, check, centre and scale. A mesh is a ``trimesh.Trimesh``; lengths are metres once scaled."""
 
+import io
+import os
 from pathlib import Path
 
 import numpy as np
 import trimesh
 from jaxtyping import Float
 
-from reorient.errors import ReorientError
+from reorient.errors import ReorientError, in_short, reason_of
 
 MOST_VERTICES = 500  # vertices of an object kept for ShapeMatch (paper, "Training Details")
 
@@ -18,7 +20,7 @@ def load_mesh(path: str | Path) -> trimesh.Trimesh:
     that is no surface.
     """
     path = Path(path)
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise ReorientError(f"no mesh file {str(path)!r}: expected an existing .stl, .obj, .ply, .dae, .npz, ... file")
     mesh: object
     try:
@@ -26,16 +28,33 @@ def load_mesh(path: str | Path) -> trimesh.Trimesh:
             with np.load(path) as arrays:
                 mesh = trimesh.Trimesh(arrays["v"].astype(float), arrays["f"].astype(int), process=False)
         else:
-            mesh = trimesh.load(path, force="mesh", process=False)
+            mesh = _loaded(path)
             _require_complete(path, len(getattr(mesh, "faces", ())))
     except ReorientError:
         raise
+    except ImportError as error:
+        raise ReorientError(
+            f"cannot read mesh {str(path)!r} ({in_short(error)}): expected that package, which trimesh needs for "
+            f"{path.suffix.lower()} files, or another format"
+        ) from error
     except Exception as error:  # the loaders of a dozen formats raise many kinds of errors
         raise ReorientError(
-            f"cannot read mesh {str(path)!r} ({type(error).__name__}: {error}): expected a complete file that trimesh "
+            f"cannot read mesh {str(path)!r} ({reason_of(error)}): expected a complete file that trimesh "
             "loads, or .npz with v (n, 3) and f (m, 3)"
         ) from error
     return check_surface(mesh, str(path))
+
+
+def _loaded(path: Path) -> object:
+    """What trimesh loads. Text with comments in Latin-1 goes to it in UTF-8, or it asks for a further package."""
+    data, suffix = path.read_bytes(), path.suffix.lower()
+    if suffix == ".obj" or (suffix == ".stl" and data[:5] == b"solid" and b"facet" in data[:1000]):
+        try:
+            data.decode()
+        except UnicodeDecodeError:
+            text = io.BytesIO(data.decode("latin-1").encode())
+            return trimesh.load(text, file_type="stl_ascii" if suffix == ".stl" else "obj", force="mesh", process=False)
+    return trimesh.load(path, force="mesh", process=False)
 
 
 def _require_complete(path: Path, loaded: int) -> None:
@@ -44,9 +63,7 @@ def _require_complete(path: Path, loaded: int) -> None:
     .off and .ply state their number of rows; in .obj only an incomplete last line is detectable.
     """
     if path.suffix.lower() == ".off":
-        bare = "\n".join(
-            line.partition("#")[0] for line in path.read_text(encoding="utf-8", errors="replace").splitlines()
-        )
+        bare = "\n".join(line.partition("#")[0] for line in path.read_text("utf-8", "replace").splitlines())
         lines = [words for line in bare.partition("OFF")[2].splitlines() if (words := line.split())]
         vertices, faces = int(lines[0][0]), int(lines[0][1])
         whole = sum(len(face) > int(face[0]) for face in lines[1 + vertices : 1 + vertices + faces])

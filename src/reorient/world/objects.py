@@ -11,7 +11,7 @@ from typing import Any
 
 import trimesh
 
-from reorient.errors import ReorientError, check_range, unknown_name
+from reorient.errors import ReorientError, check_counts, check_range, unknown_name
 from reorient.world import shapes
 from reorient.world.meshes import load_mesh
 
@@ -130,7 +130,7 @@ class ObjectSource:
 
     def __post_init__(self) -> None:
         """Raises ReorientError for values out of range."""
-        check_range(self, "count", low=1)
+        check_counts(self, "count")
         check_range(self, "object_seed")
 
     @classmethod
@@ -153,7 +153,7 @@ class ObjectSource:
             return objects
         if not self.only.is_file():
             raise ReorientError(f"no file {str(self.only)!r}: expected object names, one a line")
-        lines = self.only.read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = self.only.read_text(encoding="utf-8-sig", errors="surrogateescape").splitlines()
         names = [line.strip() for line in lines if line.strip()]
         if not names:
             raise ReorientError(f"no names in {str(self.only)!r}: expected object names, one a line")

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from numpy.random import Generator
 
 from reorient import so3
-from reorient.errors import ReorientError, check_range
+from reorient.errors import ReorientError, check_counts, check_range
 from reorient.imaging import DepthImage
 from reorient.world.losses import Scene, with_losses
 from reorient.world.objects import ObjectSource
@@ -130,7 +130,7 @@ class PairSet:
         load_world(self.world)
         check_range(self, "low_deg", high=180)
         check_range(self, "high_deg", low=self.low_deg, high=180)
-        check_range(self, "pairs_per_object", low=1)
+        check_counts(self, "pairs_per_object")
         check_range(self, "noise_mm", "seed")
         check_range(self, "in_hand", high=1)
 
