@@ -72,9 +72,10 @@ class Train:
 
 @dataclass(frozen=True)
 class TrainImages:
-    """Train the verifier on images: a network that decides where the boosted trees are unsure.
+    """Train the verifier on images of unsure hypotheses.
 
-    It continues in the folder of an interrupted run. Needs the extra ``train``.
+    It is a network that decides where the boosted trees are unsure. A run
+    continues in the folder of an interrupted one. Needs the extra ``train``.
 
     Examples:
         reorient verifier train-images out/images --run-folder out/run --out out/verifier-images.onnx
