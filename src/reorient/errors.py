@@ -37,8 +37,8 @@ def check_range(
     ``above``, ``below``: ``low`` and ``high`` themselves are outside. Every element of a tuple counts. An empty tuple,
     what is no number, and any number beyond 1e15 are outside. None is a setting that is not given.
     """
-    expected = f"{'above' if above else 'from'} {low:g}" + (
-        "" if high == float("inf") else f" {'and below' if below else 'to'} {high:g}"
+    expected = f"{'above' if above else 'from'} {low:.10g}" + (
+        "" if high == float("inf") else f" {'and below' if below else 'to'} {high:.10g}"
     )
     for name in names:
         value = getattr(settings, name)

@@ -78,8 +78,8 @@ class TrainImages:
     continues in the folder of an interrupted one. Needs the extra ``train``.
 
     Examples:
-        reorient verifier train-images out/images --run-folder out/run --out out/verifier-images.onnx
-        reorient verifier train-images out/images out/more --run-folder out/2 --out out/2.onnx --start out/run/last.ckpt
+        reorient verifier images out/images --run-folder out/run --out out/verifier-images.onnx
+        reorient verifier images out/images out/more --run-folder out/2 --out out/2.onnx --start out/run/last.ckpt
     """
 
     data: Positional[tuple[Path, ...]]

@@ -97,7 +97,7 @@ def load_image_verifier(path: Path = WEIGHTS) -> ImageVerifier:
     except Exception as error:  # the runtime raises errors of its own
         raise ReorientError(
             f"cannot read the verifier {str(path)!r} ({type(error).__name__}): expected what "
-            "`reorient verifier train-images` wrote"
+            "`reorient verifier images` wrote"
         ) from error
     if names != FEATURES:
         raise ReorientError(f"the verifier {str(path)!r} was trained on the features of another version: train it anew")
