@@ -401,7 +401,10 @@ def test_evaluate_and_report(capsys, tmp_path):
 @pytest.mark.parametrize(
     ("command", "message"),
     [
-        *((f"{verb} --{name} 0", f"--{name} 0: expected a number from 1") for verb, name in COUNTS),
+        *(
+            (f"{verb} --{name} 0", f"--{name} 0: expected a number from 1 to {1024 if name == 'threads' else 1000000}")
+            for verb, name in COUNTS
+        ),
         ("evaluate out --noise-mm 1 -1", "--noise-mm 1 -1: expected numbers from 0"),
         ("evaluate out --ranges-deg 30 0", "--ranges-deg 30 0: expected 0 <= low <= high <= 180"),
         ("cell out --ranges-deg 0 30", "--ranges-deg 0 30: expected 0 < low <= high <= 180"),
@@ -411,7 +414,7 @@ def test_evaluate_and_report(capsys, tmp_path):
         ("loops out --start-deg any 0", "--start-deg any 0: expected degrees above 0, at most 180, or 'any'"),
         ("loops out --workers 0", "--workers 0: expected at least 1, or -1 for one per core"),
         ("objects list --object-seed -1", "--object-seed -1: expected a number from 0"),
-        ("objects montage a.png --size-px 4", "--size-px 4: expected a number from 8"),
+        ("objects montage a.png --size-px 4", "--size-px 4: expected a number from 8 to 4096"),
         ("capture goal.npz --noise-mm nan", "--noise-mm nan: expected a number from 0"),
         ("capture goal.npz --noise-mm inf", "--noise-mm inf: expected a number from 0"),
         ("capture goal.npz --pose-seed -1", "--pose-seed -1: expected a number from 0"),
