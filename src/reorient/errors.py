@@ -37,9 +37,9 @@ def check_range(
     ``above``, ``below``: ``low`` and ``high`` themselves are outside. Every element of a tuple counts. An empty tuple,
     what is no number, and any number beyond 1e15 are outside. None is a setting that is not given.
     """
-    most = str(high) if isinstance(high, int) else f"{high:g}"
-    upper = "" if high == float("inf") else f" {'and below' if below else 'to'} {most}"
-    expected = f"{'above' if above else 'from'} {low:g}{upper}"
+    expected = f"{'above' if above else 'from'} {low:.10g}" + (
+        "" if high == float("inf") else f" {'and below' if below else 'to'} {high:.10g}"
+    )
     for name in names:
         value = getattr(settings, name)
         values = value if isinstance(value, tuple) else () if value is None else (value,)

@@ -10,6 +10,6 @@ from reorient.runs.files import write_table
 
 
 def test_rows_without_a_confidence_are_refused_in_a_line(tmp_path: Path):
-    write_table(tmp_path / "rows.csv.gz", [dict.fromkeys(COLUMNS, "") | {"estimator": "gicp"}])
+    write_table(tmp_path / "rows.csv.gz", [dict.fromkeys(COLUMNS, "0") | {"estimator": "gicp"}])
     with pytest.raises(SystemExit, match="no confidences of 'gicp' in .*: expected rows that have one"):
         calibration.main(calibration.Calibration(tmp_path, estimator="gicp"))

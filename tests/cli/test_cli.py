@@ -12,6 +12,7 @@ from PIL import Image
 from reorient import so3
 from reorient.cli import main
 from reorient.cli.estimating import as_data, in_words
+from reorient.errors import MOST
 from reorient.estimators.base import RotationEstimate
 from reorient.imaging import DepthImage
 from reorient.imaging.files import read_depth, write_camera, write_depth
@@ -402,7 +403,7 @@ def test_evaluate_and_report(capsys, tmp_path):
     ("command", "message"),
     [
         *(
-            (f"{verb} --{name} 0", f"--{name} 0: expected a number from 1 to {1024 if name == 'threads' else 1000000}")
+            (f"{verb} --{name} 0", f"--{name} 0: expected a number from 1 to {1024 if name == 'threads' else MOST}")
             for verb, name in COUNTS
         ),
         ("evaluate out --noise-mm 1 -1", "--noise-mm 1 -1: expected numbers from 0"),

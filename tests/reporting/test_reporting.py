@@ -168,7 +168,7 @@ def test_screen_tables_are_complete_in_120_columns(rows):
     print_tables(rows, Console(file=screen, width=120))
     text = screen.getvalue()
     assert text.count("depth noise") == 2
-    assert text.count("a|b<c>") == 4
+    assert text.count("a|b<c>") == 5  # in the rows, and in the note of the ellipsoids
     assert "50.0% (24–76)" in text
     assert "150–180°" in text
     assert "…" not in text

@@ -78,7 +78,9 @@ GROUPS = {
         "export": Verb("learning:Export", "Convert trained weights to ONNX, which the estimators read."),
         "verifier make": Verb("verifier:Make", "Generate hypotheses of known error to train the verifier on."),
         "verifier train": Verb("verifier:Train", "Train the verifier on generated hypotheses."),
-        "verifier calibrate": Verb("verifier:Calibrate", "Calibrate confidence sets and covariances."),
+        "verifier calibrate": Verb(
+            "verifier:Calibrate", "Calibrate confidence sets and covariances on generated objects."
+        ),
     },
 }
 VERBS = {name: verb for group in GROUPS.values() for name, verb in group.items()}
@@ -109,5 +111,5 @@ def overview(family: str = "") -> str:
     for group, verbs in GROUPS.items():
         shown = {name: verb for name, verb in verbs.items() if name.startswith(family)}
         if shown:
-            lines += ["", f"{group}:", *(f"  {name:16s} {verb.summary}" for name, verb in shown.items())]
+            lines += ["", f"{group}:", *(f"  {name:18s} {verb.summary}" for name, verb in shown.items())]
     return "\n".join(lines)

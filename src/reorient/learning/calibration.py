@@ -130,7 +130,7 @@ def _numbers(values: Float[np.ndarray, " n"]) -> str:
 def read(folder: Path) -> list[Row]:
     """The rows of a finished run. Raises ReorientError where there are none."""
     try:
-        with gzip.open(folder / "rows.csv.gz", "rt", newline="") as text:
+        with gzip.open(folder / "rows.csv.gz", "rt", encoding="utf-8", newline="") as text:
             return list(csv.DictReader(text))
     except OSError as error:
         raise ReorientError(
@@ -157,7 +157,7 @@ def fit(rows: Sequence[Row], out: Path | None = None, present: Calibration | Non
     }
     if out is not None:
         with replacing(out) as temporary:
-            temporary.write_text(json.dumps(document).replace("], ", "],\n") + "\n")
+            temporary.write_text(json.dumps(document).replace("], ", "],\n") + "\n", encoding="utf-8")
     shares = {
         f"{name}: truth among the candidates, of {len(x)}": float(np.count_nonzero(x)) / len(x)
         for name, x in sorted(truth.items())
