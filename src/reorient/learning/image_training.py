@@ -90,7 +90,10 @@ class Run:
             state = {"network": self.network.state_dict(), "optimizer": self.optimizer.state_dict()}
             with replacing(self.out / "last.ckpt") as temporary:
                 torch.save(state | {"rounds": json.dumps([asdict(x) for x in self.rounds])}, temporary)
-            with replacing(self.out / "metrics.csv") as temporary, temporary.open("w", newline="") as handle:
+            with (
+                replacing(self.out / "metrics.csv") as temporary,
+                temporary.open("w", encoding="utf-8", newline="") as handle,
+            ):
                 writer = csv.DictWriter(handle, list(asdict(self.rounds[0])))
                 writer.writeheader()
                 writer.writerows(asdict(x) for x in self.rounds)
