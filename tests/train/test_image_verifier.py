@@ -21,7 +21,7 @@ TINY = ImageTraining(rounds=2, steps=25, sets=12, held_out=0.3)
 
 @pytest.fixture(scope="module")
 def data():
-    """Sets of three hypotheses that the trees do not tell apart: both images agree with the right one, mostly."""
+    """Sets of three hypotheses that the trees do not distinguish: both images agree with the right one, mostly."""
     rng = np.random.default_rng(0)
     sets, n = 80, 240
     right = (np.arange(n) + rng.integers(3, size=sets).repeat(3)) % 3 == 0

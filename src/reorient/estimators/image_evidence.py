@@ -13,7 +13,7 @@ from reorient.registration.hypotheses import rotate
 
 SIZE = 48  # px
 CHANNELS = ("difference", "state", "normals", "facing there", "facing here")
-CLIPPED = 0.1  # largest depth difference that is told apart, relative to the object diameter
+CLIPPED = 0.1  # largest depth difference that is distinguished, relative to the object diameter
 NOTHING, UNKNOWN_HERE, COMPARED, UNKNOWN_THERE, OUTSIDE = range(5)
 """States of a pixel: not the object; unknown in its own image; on the other surface; on an unknown pixel of the other
 image or beyond its frame; outside its silhouette, by a distance of (state - OUTSIDE) / ``PER_PX`` pixels."""
