@@ -131,8 +131,7 @@ def write_estimate(path: Path, current: DepthImage, goal: DepthImage, estimate: 
 
 def outcome(result: OrientResult, errors_deg: Sequence[float]) -> str:
     """How the loop ended, in a sentence or two."""
-    moves = f"{result.moves} move" + "s" * (result.moves != 1)
-    sentence = f"{result.status.replace('_', ' ').capitalize()} after {moves}: {result.reason}."
+    sentence = f"{result.status.replace('_', ' ').capitalize()} after {_in_words(result.moves)}: {result.reason}."
     if errors_deg:
         sentence += f" The true remaining angle went from {errors_deg[0]:.2f} to {errors_deg[-1]:.2f} deg."
     return sentence
@@ -149,12 +148,16 @@ def evidence_in_words(evidence: Evidence) -> str:
     return line if evidence.converged is not False else line + "; registration not converged"
 
 
+def _in_words(moves: int) -> str:
+    return f"{moves} move" + "s" * (moves != 1)
+
+
 def _write_gif(path: Path, images: Sequence[DepthImage], steps: Sequence[Step], errors_deg: Sequence[float]) -> Path:
     range_m = depth_range(images)
     goal, *pictures = (shade(image, _PANEL_PX, range_m) for image in images)
     curves = growing_curve([np.degrees(step.estimate.angle_rad) for step in steps], errors_deg, _PANEL_PX)
     frames = [
-        montage([goal, picture, curve], 3, ["goal", "current", f"after {moves} moves" if moves else "start"])
+        montage([goal, picture, curve], 3, ["goal", "current", f"after {_in_words(moves)}" if moves else "start"])
         for moves, picture, curve in zip(_moves_before(steps), pictures, curves, strict=True)
     ]
     write_gif(path, frames, max(_FRAME_MS, _FILM_MS // len(frames)), _LAST_FRAME_MS)
