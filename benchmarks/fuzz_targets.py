@@ -417,7 +417,8 @@ def _rows(columns: list[str], count: int, **cells: Any) -> bytes:
 
 
 def _run_seeds() -> list[Files]:
-    from reorient.experiments.evaluation import COLUMNS, Evaluation
+    from reorient.experiments.cells import COLUMNS
+    from reorient.experiments.evaluation import Evaluation
     from reorient.experiments.loops import COLUMNS as LOOP_COLUMNS
 
     config = _json({"config": json.loads(json.dumps(asdict(Evaluation()), default=str)), "version": "0"})

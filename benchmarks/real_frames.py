@@ -37,8 +37,8 @@ from reorient.cli.progress import show_progress
 from reorient.errors import ReorientError, check_range, unknown_name
 from reorient.estimators import load_estimator
 from reorient.experiments.cached import cached_estimator, cached_object
-from reorient.experiments.evaluation import COLUMNS as MEASURED
-from reorient.experiments.evaluation import estimate_cells
+from reorient.experiments.cells import COLUMNS as MEASURED
+from reorient.experiments.cells import estimate_cells
 from reorient.reporting.rows import numbers, read_table
 from reorient.runs.pool import Pool
 from reorient.runs.run import Row, RowStore, Tables, resumable

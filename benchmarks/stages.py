@@ -28,7 +28,8 @@ from reorient.cli.progress import show_progress
 from reorient.errors import ReorientError
 from reorient.estimators.search import EFFORTS, Effort, search
 from reorient.estimators.verifier import features, load_verifier
-from reorient.experiments.evaluation import Evaluation, answer_cells, measure_pairs
+from reorient.experiments.cells import answer_cells
+from reorient.experiments.evaluation import Evaluation, measure_pairs
 from reorient.imaging.goal import Goal
 from reorient.registration import INLIER_TOLERANCE, Hypotheses, Problem, build_problem
 from reorient.reporting.rows import estimators, numbers, read_rows

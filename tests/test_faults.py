@@ -15,7 +15,8 @@ import pytest
 
 from reorient.cli import main
 from reorient.errors import OutOfRange, ReorientError, check_range, unknown_name
-from reorient.experiments.evaluation import COLUMNS, Evaluation
+from reorient.experiments.cells import COLUMNS
+from reorient.experiments.evaluation import Evaluation
 from reorient.experiments.loops import Loops
 from reorient.perception.extrinsics import read_hand_eye
 from reorient.plugins import in_words

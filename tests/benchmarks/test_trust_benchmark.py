@@ -5,7 +5,7 @@ from pathlib import Path
 import calibration
 import pytest
 
-from reorient.experiments.evaluation import COLUMNS
+from reorient.experiments.cells import COLUMNS
 from reorient.runs.files import write_table
 
 

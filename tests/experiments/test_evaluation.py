@@ -12,15 +12,8 @@ import pytest
 from reorient import so3
 from reorient.errors import ReorientError
 from reorient.estimators.base import with_evidence
-from reorient.experiments.evaluation import (
-    COLUMNS,
-    Evaluation,
-    answer_cells,
-    evaluate,
-    measure_pairs,
-    read_config,
-    regenerate,
-)
+from reorient.experiments.cells import COLUMNS, answer_cells
+from reorient.experiments.evaluation import Evaluation, evaluate, measure_pairs, read_config, regenerate
 from reorient.registration import DepthView
 from reorient.reporting.rows import estimators, read_rows
 from reorient.runs.pool import Pool

@@ -11,7 +11,8 @@ import pytest
 from rich.console import Console
 
 from reorient.errors import ReorientError
-from reorient.experiments.evaluation import COLUMNS, Evaluation
+from reorient.experiments.cells import COLUMNS
+from reorient.experiments.evaluation import Evaluation
 from reorient.reporting import (
     OVERLAP,
     figures,

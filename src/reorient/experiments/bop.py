@@ -16,7 +16,7 @@ from reorient.errors import ReorientError, check_counts, check_distinct, check_r
 from reorient.estimators import load_estimator
 from reorient.experiments.bop_data import View, load_model, views
 from reorient.experiments.cached import cached_estimator
-from reorient.experiments.evaluation import COLUMNS, measured
+from reorient.experiments.cells import COLUMNS, measured
 from reorient.runs.pool import Pool
 from reorient.runs.run import Progress, RowStore, Tables, resumable
 

@@ -1,10 +1,9 @@
 """Estimators x objects x angles x noise: one raw row each, summaries last.
 
 A resumable run (``reorient.runs``), a task for each pair. ``evaluate`` measures estimators, by name or as objects;
-``measure_pairs`` measures anything else of the same pairs.
+``measure_pairs`` measures anything else of the same pairs. The cells of a row are those of ``cells``.
 """
 
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, is_dataclass
 from functools import partial
@@ -17,12 +16,10 @@ from jaxtyping import Float
 from reorient import so3
 from reorient.errors import ReorientError, check_angles, check_counts, check_distinct, check_range, reason_of
 from reorient.estimators import load_estimator
-from reorient.estimators.base import Estimator, RotationEstimate, as_estimate, for_any_goal
+from reorient.estimators.base import Estimator
 from reorient.experiments.cached import cached_estimator, cached_object
-from reorient.imaging import DepthImage
-from reorient.imaging.goal import Goal, as_goal
-from reorient.plugins import USER_ERRORS, in_words
-from reorient.registration import aligned_goal
+from reorient.experiments.cells import COLUMNS, estimate_cells
+from reorient.imaging.goal import Goal
 from reorient.runs.pool import Pool
 from reorient.runs.provenance import read_record
 from reorient.runs.run import CONFIG, Progress, Row, RowStore, Tables, resumable
@@ -31,45 +28,7 @@ from reorient.world.objects import ObjectSet, ObjectSource
 from reorient.world.pairs import Pair, sample_pair, view_overlap
 from reorient.world.rendering import Renderer, load_world
 from reorient.world.sensing import randomised
-from reorient.world.symmetry import SymmetryGroup, nearest_equivalent, symmetric_error
-
-COLUMNS = [
-    "object",
-    "pair",
-    "world",
-    "noise_mm",
-    "low_deg",
-    "high_deg",
-    "estimator",
-    "angle_deg",
-    "error_deg",
-    "error_sym_deg",
-    "qw",
-    "qx",
-    "qy",
-    "qz",
-    "seconds",
-    "score",
-    "inlier_ratio",
-    "free_space_violation",
-    "silhouette_violation",
-    "occluded",
-    "residual_mm",
-    "converged",
-    "iterations",
-    "confidence",
-    "message",
-    "overlap",
-    "goal_views",
-    "set_size",
-    "set_covers",
-    "distance2",
-]
-"""Of a row; rows of earlier versions lack the last ones. ``set_size``: number of rotations in the 95% confidence set, 0
-where there is none, empty for an estimator without sets; ``set_covers``: whether one of them is within 5 degrees of the
-truth, up to symmetry; ``distance2``: squared Mahalanobis distance of the answer from the truth, by its covariance."""
-RIGHT_DEG = 5.0
-SET_LEVEL = 0.95
+from reorient.world.symmetry import SymmetryGroup
 
 
 @dataclass(frozen=True)
@@ -222,70 +181,6 @@ def _estimates(
         estimate_cells(own[name] if name in own else cached_estimator(name), pair, group, pivot_m, goal)
         for name in config.estimators
     ]
-
-
-def estimate_cells(
-    estimator: Estimator,
-    pair: Pair,
-    group: SymmetryGroup,
-    pivot_m: Float[np.ndarray, "3"] | None,
-    goal: Goal | None = None,
-) -> dict[str, Any]:
-    """Cells of one row. ``goal``: None for that of one view. Its views are aligned once: not in ``seconds``."""
-    goal = Goal(pair.goal) if goal is None else goal
-    aligned_goal(goal, pivot_m)
-    estimate, cells = measured(estimator, pair.current, goal, pivot_m)
-    R = np.eye(3) if estimate is None else estimate.R_goal_current
-    return cells | answer_cells(R, pair, group) | ({} if estimate is None else trust_cells(estimate, pair, group))
-
-
-def measured(
-    estimator: Estimator, current: DepthImage, goal: DepthImage | Goal, pivot_m: Float[np.ndarray, "3"] | None = None
-) -> tuple[RotationEstimate | None, dict[str, str]]:
-    """The estimate of an estimator, and the cells of a row that need no truth.
-
-    None for one that raises an error, which counts as "no rotation"; ``message`` is the error.
-    """
-    begin = time.process_time()
-    try:
-        answer = for_any_goal(estimator).estimate(current, goal, pivot_m)
-        estimate = as_estimate(answer, current, as_goal(goal).image)
-    except USER_ERRORS as error:
-        return None, {"seconds": f"{time.process_time() - begin:.5f}", "message": in_words(error)}
-    evidence = estimate.evidence
-    names = ("score", "inlier_ratio", "free_space_violation", "silhouette_violation", "occluded")
-    return estimate, {name: f"{getattr(evidence, name):.4f}" for name in names} | {
-        "residual_mm": f"{1000 * evidence.residual_m:.4f}",
-        "converged": "" if evidence.converged is None else str(int(evidence.converged)),
-        "iterations": "" if evidence.iterations is None else str(evidence.iterations),
-        "confidence": "" if estimate.confidence is None else f"{estimate.confidence:.4f}",
-        "seconds": f"{time.process_time() - begin:.5f}",
-        "message": "",
-    }
-
-
-def answer_cells(R: Float[np.ndarray, "3 3"], pair: Pair, group: SymmetryGroup) -> dict[str, str]:
-    """The cells of a row that an answer and the truth give: the errors, and the answer itself."""
-    return {
-        "error_deg": f"{np.degrees(so3.angle_difference(R, pair.R_goal_current)):.5f}",
-        "error_sym_deg": f"{np.degrees(symmetric_error(group, R, pair.R_goal_current, pair.R_camera_object)):.5f}",
-    } | {f"q{part}": f"{x:.9f}" for part, x in zip("wxyz", so3.quat_from_matrix(R), strict=True)}
-
-
-def trust_cells(estimate: RotationEstimate, pair: Pair, group: SymmetryGroup) -> dict[str, str]:
-    """The cells of a row that compare confidence set and covariance with the truth; none for an estimator without."""
-    true = pair.R_goal_current, pair.R_camera_object
-    cells = {}
-    if estimate.candidates:
-        among = estimate.confidence_set(SET_LEVEL) or []
-        covers = any(np.degrees(symmetric_error(group, R, *true)) < RIGHT_DEG for R, _ in among)
-        cells = {"set_size": str(len(among)), "set_covers": str(int(covers))}
-    nearest = nearest_equivalent(group, estimate.R_goal_current, *true)
-    if estimate.covariance_rad2 is not None and nearest is not None:
-        rotvec = so3.log(nearest @ estimate.R_goal_current.T)
-        distance2 = float(rotvec @ np.linalg.pinv(estimate.covariance_rad2) @ rotvec)
-        cells["distance2"] = f"{distance2:.4f}"
-    return cells
 
 
 def _loadable(objects: ObjectSet, most: int) -> tuple[str, ...]:
