@@ -91,3 +91,9 @@ def test_a_broken_shard_is_named(share, shards, tmp_path):
 def test_nothing_to_read(tmp_path):
     with pytest.raises(ReorientError, match="no shards in"):
         read(tmp_path)
+
+
+def test_every_hypothesis_of_a_mirrored_goal_is_wrong(tmp_path):
+    list(make(replace(CONFIG, mirrored=1.0), tmp_path))
+    data = read(tmp_path)
+    assert not data.right.any()

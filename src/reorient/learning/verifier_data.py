@@ -26,17 +26,18 @@ from reorient.registration.build import OBSERVATIONS
 from reorient.runs.files import replacing
 from reorient.runs.pool import Pool
 from reorient.runs.run import Progress, resumable
-from reorient.world.goals import ALL_ROUND, sample_goal, sample_history
+from reorient.world.goals import ALL_ROUND, sample_goal, sample_history, with_goal_of
 from reorient.world.objects import ObjectSource
 from reorient.world.pairs import Pair, sample_pair, scene_of
 from reorient.world.rendering import Renderer, load_world
 from reorient.world.sensing import randomised
 from reorient.world.static_parts import with_static_part
-from reorient.world.symmetry import rotation_group, symmetric_error
+from reorient.world.symmetry import mirror_residual, rotation_group, symmetric_error
 
 RANGES_DEG = ((0, 30), (30, 60), (60, 90), (90, 180))
 PIVOT_SHARE = 0.6  # of the pairs come with a pivot
 STATIC_SHARES, STATIC_NOISE_M = (0.1, 0.75), 0.001  # of the returns; of their depth
+CHIRAL_ABOVE = 0.1  # of the RMS radius, the distance of the mirrored object: less is lost in the errors of the images
 Arrays = dict[str, np.ndarray]
 
 
@@ -69,6 +70,9 @@ class VerifierData:
     """The same for the views of the object now, the current one and earlier ones."""
     slip_deg: float = 2.0
     """Largest error of the stated rotations of further goal views."""
+    mirrored: float = 0.0
+    """Share of the pairs whose goal is of the mirrored object, so that no hypothesis is right; of objects that are
+    nearly their own mirror image there are none."""
     effort: str = "normal"
     """Effort of the search that makes the hypotheses: fast or normal."""
     least_deg: float = 0.0
@@ -89,7 +93,7 @@ class VerifierData:
         check_range(self, "views_now", low=1, high=1 + OBSERVATIONS)
         check_range(self, "slip_deg", high=180)
         check_range(self, "least_deg", high=RANGES_DEG[-1][0])
-        check_range(self, "in_hand", "static", "wrong_pivot", high=1)
+        check_range(self, "in_hand", "static", "wrong_pivot", "mirrored", high=1)
         check_range(self, "most_wrong_focal", high=1, below=True)
         if self.images and self.several_views:
             raise ReorientError("images and several views: expected evidence images of one view now and one goal view")
@@ -162,11 +166,14 @@ class Sample:
     goal: Goal
     history: History
     pivot_m: Float[np.ndarray, "3"] | None
+    mirrored: bool
+    """Whether the goal is of the mirrored object."""
 
 
 def samples(config: VerifierData, renderer: Renderer, number: int) -> Iterator[tuple[int, Sample]]:
     """The pairs of object ``number``, each with its index; those that show too little are left out."""
     world = load_world(config.world)
+    other = _mirrored(renderer) if config.mirrored else None
     for index in range(config.pairs):
         rng = np.random.default_rng([config.seed, number, index])
         low_deg, high_deg = config.ranges_deg[index % len(config.ranges_deg)]
@@ -180,13 +187,18 @@ def samples(config: VerifierData, renderer: Renderer, number: int) -> Iterator[t
         if rng.random() < config.static:
             pair = _with_static_part(rng, renderer, pair)
         views, earlier = (int(rng.choice(x)) if x != (1,) else 1 for x in (config.goal_views, config.views_now))
-        goal = sample_goal(rng, renderer, held, sensor, pair, views, np.radians(config.slip_deg))
+        shown = renderer
+        if mirrored := config.mirrored > 0 and rng.random() < config.mirrored:
+            if other is None or (of_mirrored := with_goal_of(rng, other, held, sensor, pair)) is None:
+                continue
+            shown, pair = other, of_mirrored
+        goal = sample_goal(rng, shown, held, sensor, pair, views, np.radians(config.slip_deg))
         earlier_images: History = sample_history(rng, renderer, held, sensor, pair, earlier - 1)
         images = pair.current, goal, earlier_images
         current, goal, history = _with_wrong_focal(rng, *images, config.most_wrong_focal)
         pivot_m = _off(rng, pair.pivot_m) if rng.random() < config.wrong_pivot else pair.pivot_m
         known_m = pivot_m if rng.random() < PIVOT_SHARE else None
-        yield index, Sample(low_deg, noise_m, pair, current, goal, history, known_m)
+        yield index, Sample(low_deg, noise_m, pair, current, goal, history, known_m, mirrored)
 
 
 def _hypotheses(config: VerifierData, renderer: Renderer, number: int) -> Iterator[Arrays]:
@@ -197,7 +209,10 @@ def _hypotheses(config: VerifierData, renderer: Renderer, number: int) -> Iterat
         if config.several_views and len(problem.views_now) == len(problem.goal_views) == 1:
             continue  # one pair of views is left
         hypotheses = search(problem, EFFORTS[config.effort]).hypotheses
-        errors = [symmetric_error(group, R, x.pair.R_goal_current, x.pair.R_camera_object) for R in hypotheses.R]
+        errors = [
+            np.pi if x.mirrored else symmetric_error(group, R, x.pair.R_goal_current, x.pair.R_camera_object)
+            for R in hypotheses.R
+        ]
         yield {
             "figures": (_of_views if config.several_views else features)(problem, hypotheses).astype(np.float32),
             "error_deg": np.degrees(errors).astype(np.float32),
@@ -205,6 +220,13 @@ def _hypotheses(config: VerifierData, renderer: Renderer, number: int) -> Iterat
             "object": np.full(len(errors), number),
             "angle_deg": np.full(len(errors), x.low_deg, np.float32),
         } | ({"images": evidence_images(problem, hypotheses)} if config.images else {})
+
+
+def _mirrored(renderer: Renderer) -> Renderer | None:
+    """Of the mirrored object; None where that is the same object in another pose."""
+    if mirror_residual(renderer.mesh) <= CHIRAL_ABOVE:
+        return None
+    return Renderer(renderer.mesh.copy().apply_transform(np.diag([-1.0, 1.0, 1.0, 1.0])))
 
 
 def _with_static_part(rng: Generator, renderer: Renderer, pair: Pair) -> Pair:

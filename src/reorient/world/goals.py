@@ -1,6 +1,7 @@
 """Goals of several views, rendered: as a robot takes them that rotates the object away from the goal pose and back."""
 
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -56,6 +57,14 @@ def sample_goal(
             image = _sensed(rng, renderer, world, sensor, pair, R_camera_object)
             found.append(GoalView(image, R_view_goal.T))
     return Goal(pair.goal, tuple(found))
+
+
+def with_goal_of(rng: Generator, other: Renderer, world: World, sensor: Sensor, pair: Pair) -> Pair | None:
+    """A pair whose goal is of another object in the same pose; None where that shows fewer than 100 returns."""
+    with suppress(ReorientError):
+        R_camera_object = pair.R_goal_current @ pair.R_camera_object
+        return replace(pair, goal=_sensed(rng, other, world, sensor, pair, R_camera_object))
+    return None
 
 
 def sample_history(

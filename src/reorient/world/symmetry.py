@@ -69,6 +69,19 @@ def rotation_group(mesh: trimesh.Trimesh, tolerance: float = SYMMETRIC_BELOW) ->
     return SymmetryGroup(group, axes, False, surface.center, max(0.0, float(best)))
 
 
+def mirror_residual(mesh: trimesh.Trimesh) -> float:
+    """The least distance of the mirrored surface, rotated about the centroid, from the surface, as for a symmetry.
+
+    Below ``SYMMETRIC_BELOW`` the mirrored object is the same object in another pose. Raises ReorientError for a mesh
+    that is no surface.
+    """
+    surface = SurfaceCloud(check_surface(mesh))
+    mirrored = so3.grid(4000) @ np.diag([-1.0, 1.0, 1.0])
+    starts = np.concatenate([np.eye(3) - 2 * surface.principal[:, :, None] * surface.principal[:, None], mirrored])
+    best = starts[np.argsort(surface.coarse(starts))[:48]]
+    return max(0.0, float(surface.residuals(surface.refine(best, steps=8, exact=False)).min()))
+
+
 def _candidates(surface: SurfaceCloud, tolerance: float) -> tuple[Rotations, Float[np.ndarray, " _"]]:
     """Rotations at local minima of the distance among those of at least 25 degrees, best first; their distances."""
     grid = so3.grid(4000)
