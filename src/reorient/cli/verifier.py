@@ -1,6 +1,7 @@
 """The verifiers' verbs: make their data, train them, calibrate what depends on them."""
 
 from dataclasses import dataclass, field
+from functools import reduce
 from pathlib import Path
 
 from reorient.cli.arguments import Positional
@@ -23,7 +24,7 @@ class Make:
 
     Examples:
         reorient verifier make out/verifier --count 5000 --workers 2
-        reorient verifier make out/views --count 1500 --object-seed 1 --goal-views 2 3 4 5 6 --views-now 1 1 2 3
+        reorient verifier make out/views --object-seed 1 --goal-views 2 3 4 5 6 --views-now 1 1 2 3 --mirrored 0.2
         reorient verifier make out/images --count 2000 --object-seed 2 --least-deg 60 --images
     """
 
@@ -54,18 +55,18 @@ class Train:
     """Folder of ``reorient verifier make``."""
     out: Positional[Path]
     """File to write (.npz)."""
-    also: Path | None = None
-    """Folder of further data, of other objects."""
+    also: tuple[Path, ...] = ()
+    """Folders of further data, of other objects."""
     fast: Path | None = None
     """Folder of other objects with ``--effort fast``, to calibrate that effort."""
 
     def run(self) -> None:
         """Read, train, write, print."""
         require("sklearn")
-        from reorient.learning.verifier import read, train
+        from reorient.learning.verifier import Shards, read, train
 
         others = {} if self.fast is None else {"fast": read(self.fast)}
-        data = read(self.data) if self.also is None else read(self.data).and_also(read(self.also))
+        data = reduce(Shards.and_also, map(read, (self.data, *self.also)))
         for name, value in train(data, self.out, others).items():
             print(f"{name}: {value:.4g}")
 

@@ -41,7 +41,7 @@ from reorient.runs.pool import Pool
 DISTINCT_RAD = np.radians(12)  # two hypotheses closer than this are one answer
 POSSIBLE = 0.01  # probability: a less likely hypothesis is in no confidence set
 ALTERNATIVE_ABOVE = 0.25  # of the answer's probability: a less likely hypothesis is no alternative
-ENOUGH = 0.95  # confidence of a short search after which no longer one follows; docs/tuning.md, "Effort"
+ENOUGH = 0.9  # confidence of a short search after which no longer one follows; docs/tuning.md, "Effort"
 SURE = 0.9  # probability above which a known pivot is not doubted, and a hypothesis is as good as the answer
 CONTRADICTED2 = 5.0  # squared Mahalanobis distance of a motion from leaving the pivot in place that contradicts it
 IMPOSSIBLE2 = 50.0  # the same, however unlikely that motion is

@@ -3,8 +3,7 @@
 The verifier of two views gives log-odds for each pair of a view now and a goal view. Their evidence is not independent,
 and a pair that hardly overlaps has little. So its log-odds and the most informative features of all pairs, as least,
 mean and largest, go through boosted trees of their own, trained on problems of several views (``verifier-views.npz``;
-its card is ``verifier-views.md``). Their probability is at most that of the pairs' own log-odds, as they have seen no
-goal of another object, and are sure of a mirrored one. With one goal view the mean of the log-odds is enough.
+its card is ``verifier-views.md``). With one goal view the mean of the log-odds is enough.
 """
 
 import hashlib
@@ -23,7 +22,6 @@ from reorient.registration import INLIER_TOLERANCE, Hypotheses, Problem
 
 WEIGHTS = Path(__file__).with_name("verifier-views.npz")
 POINTS = 1000  # of each image where there is one pair
-COMBINED = (0.79, 0.72)  # Platt scaling of the pairs' own log-odds, on 73 pairs of tuning objects with 3 and 6 views
 LEAST_WEIGHT = 0.05  # of a pair, for the share of its points that are not occluded
 
 _SUMMARISED = tuple(
@@ -59,9 +57,7 @@ def assess(
         return log_odds.mean(axis=0), verifier.probability(log_odds.mean(axis=0), effort)
     of_views = load_verifier(WEIGHTS, VIEWS_FEATURES)
     combined = of_views.log_odds(views_features(problem, hypotheses, each, log_odds))
-    scale, shift = COMBINED
-    by_pairs = 1 / (1 + np.exp(-(scale * _summary(each, log_odds)[[0, 3]].mean(axis=0) + shift)))
-    return combined, np.minimum(by_pairs, of_views.probability(combined, group_of(len(problem.goal_views))))
+    return combined, of_views.probability(combined, group_of(len(problem.goal_views)))
 
 
 def views_features(
