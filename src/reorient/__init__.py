@@ -18,7 +18,11 @@ if TYPE_CHECKING:
     from reorient.imaging import Camera, DepthImage, Goal, GoalView, Isolation, isolate
     from reorient.imaging.files import read_camera, read_depth
     from reorient.imaging.goal_files import read_goal, write_goal
-    from reorient.perception.robot_calibration import RobotCalibration
+    from reorient.perception.robot_calibration import (
+        RobotCalibration,
+        read_robot_calibration,
+        write_robot_calibration,
+    )
     from reorient.perception.transfer import Transferred, transfer
     from reorient.stations.calibrating import calibrate
     from reorient.stations.guarded import RobotLimits
@@ -53,8 +57,10 @@ __all__ = [
     "read_camera",
     "read_depth",
     "read_goal",
+    "read_robot_calibration",
     "transfer",
     "write_goal",
+    "write_robot_calibration",
 ]
 _MODULES = {
     "controller": ("Algorithm1", "Fusing", "Limits", "OrientResult", "Step", "load_strategy", "orient"),
@@ -65,7 +71,7 @@ _MODULES = {
     "imaging": ("Camera", "DepthImage", "Goal", "GoalView", "Isolation", "isolate"),
     "imaging.files": ("read_camera", "read_depth"),
     "imaging.goal_files": ("read_goal", "write_goal"),
-    "perception.robot_calibration": ("RobotCalibration",),
+    "perception.robot_calibration": ("RobotCalibration", "read_robot_calibration", "write_robot_calibration"),
     "perception.transfer": ("Transferred", "transfer"),
     "stations.calibrating": ("calibrate",),
     "stations.guarded": ("RobotLimits",),

@@ -12,7 +12,7 @@ from reorient.errors import ReorientError
 from reorient.perception.robot_calibration import RobotCalibration, read_robot_calibration, write_robot_calibration
 from reorient.stations.checking import check
 from reorient.stations.faulty_cell import PLANTED, planted, random_calibration
-from reorient.stations.guarded import GuardedArm
+from reorient.stations.guarded import GuardedArm, RobotLimits
 
 NOISE_RAD = float(np.radians(0.3))
 
@@ -175,3 +175,30 @@ def test_a_broken_file_is_refused(tmp_path, text):
     (tmp_path / "c.json").write_text(text)
     with pytest.raises(ReorientError, match="broken calibration file"):
         read_robot_calibration(tmp_path / "c.json")
+
+
+class Deaf:
+    def pose(self):
+        raise AssertionError("asked before it was checked")
+
+    def move_to(self, T_base_tool):
+        raise AssertionError("moved before it was checked")
+
+
+def test_drivers_that_lack_a_method_or_are_classes_are_refused_before_they_are_asked():
+    camera, arm = drivers(small_cell(1))
+    for wrong, message in (
+        ((camera, Deaf()), "has no stop: expected pose, move_to, stop"),
+        ((camera, Deaf), r"arm is the class Deaf: expected an object, Deaf\(\)"),
+        ((type(camera), arm), r"camera is the class SimulatedCamera: expected an object, SimulatedCamera\(\)"),
+    ):
+        with pytest.raises(ReorientError, match=message):
+            calibrate(*wrong)
+
+
+def test_the_workspace_box_holds_for_the_calibration():
+    cell = small_cell(1)
+    x, y, z = cell.T_base_tool[:3, 3].tolist()
+    box = RobotLimits(box_low_m=(x - 1e-3, y - 1e-3, z - 1e-3), box_high_m=(x + 1e-3, y + 1e-3, z + 1e-3))
+    with pytest.raises(ReorientError, match="rotations of the tool are reachable from here"):
+        calibrate(*drivers(cell), estimator=KnowingEstimator(cell), tool_point_m=np.array([0.1, 0.0, 0.0]), limits=box)

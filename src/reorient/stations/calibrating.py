@@ -15,8 +15,8 @@ from reorient.imaging import DepthImage
 from reorient.perception.hand_eye import LEAST_SPREAD_RAD, HandEye, Motion, axis_spread_rad, solve_hand_eye
 from reorient.perception.robot_calibration import RobotCalibration
 from reorient.se3 import Transform
-from reorient.stations.drivers import ArmDriver, CameraDriver
-from reorient.stations.guarded import FreshFrames, GuardedArm, Isolate
+from reorient.stations.drivers import ArmDriver, CameraDriver, check_drivers
+from reorient.stations.guarded import FreshFrames, GuardedArm, Isolate, RobotLimits
 
 ANGLE_RAD = float(np.radians(35))  # of each rotation from the start pose
 LARGEST_RAD = float(np.radians(75))  # between two images whose motion is estimated
@@ -43,17 +43,20 @@ def calibrate(
     isolate: Isolate | None = None,
     estimator: Estimator | None = None,
     tool_point_m: Float[np.ndarray, "3"] | None = None,
+    limits: RobotLimits | None = None,
 ) -> RobotCalibration:
     """The camera's pose and the object's place, from rotations of the object that the gripper holds.
 
     The arm makes up to 8 rotations of 35 degrees about ``tool_point_m`` (tool axes; None: the tool's origin), from its
-    present pose and back, within its limits; the camera is fixed. ``isolate``: takes the whole frame to the object.
-    ``estimator`` None: the default.
+    present pose and back, at once and without a question, within ``limits`` (None: the defaults, without a workspace
+    box); the camera is fixed. ``isolate``: takes the whole frame to the object. ``estimator`` None: the default.
 
-    Raises StationError where a device fails, and ReorientError where the arm cannot rotate about two axes, where the
-    object does not rotate with the tool, and where its rotation cannot be estimated (symmetry).
+    Raises StationError where a device fails, and ReorientError for a driver that lacks a method or is a class, where
+    the arm cannot rotate about two axes, where the object does not rotate with the tool, and where its rotation cannot
+    be estimated (symmetry).
     """
-    arm = arm if isinstance(arm, GuardedArm) else GuardedArm(arm)
+    check_drivers(camera, arm)
+    arm = arm if isinstance(arm, GuardedArm) else GuardedArm(arm, limits)
     tool_point_m = np.zeros(3) if tool_point_m is None else np.asarray(tool_point_m, float)
     views = observe(FreshFrames(camera, isolate), arm, tool_point_m)
     return calibration_from(views, estimator or load_estimator())

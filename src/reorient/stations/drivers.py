@@ -58,6 +58,18 @@ class ArmDriver(Protocol):
         ...
 
 
+def check_drivers(camera: CameraDriver, arm: ArmDriver) -> None:
+    """Raise ReorientError for a driver that lacks a method, and for a class in place of an object."""
+    for name, driver, members in (
+        ("camera", camera, ("capture",)),
+        ("arm", arm, ("pose", "move_to", "stop")),
+    ):
+        if isinstance(driver, type):
+            raise ReorientError(f"{name} is the class {driver.__name__}: expected an object, {driver.__name__}()")
+        if missing := missing_members(driver, members):
+            raise ReorientError(f"{name} {driver!r} has no {', '.join(missing)}: expected {', '.join(members)}")
+
+
 @dataclass(frozen=True)
 class Driver:
     """Where a driver is found."""

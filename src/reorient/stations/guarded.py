@@ -97,9 +97,8 @@ class GuardedArm:
         if self.halted:
             raise StationError(f"the arm was stopped and is not moved again: {self.halted}")
         if not self.reachable(T_base_tool):
-            x, y, z = T_base_tool[:3, 3]
             raise StationError(
-                f"refused to move the tool to ({x:.3f}, {y:.3f}, {z:.3f}) m: outside the workspace box or out of reach"
+                f"refused to move the tool to {in_metres(T_base_tool)}: outside the workspace box or out of reach"
             )
         if self._last is not None and (away := self._away(self.pose(), self._last)):
             raise self._halt(f"the pose changed by {away} since the last move: is another program moving the arm?")
@@ -153,6 +152,12 @@ class GuardedArm:
 def about(R: Float[np.ndarray, "3 3"], center_m: Float[np.ndarray, "3"]) -> Transform:
     """The rotation about a point as a transform."""
     return se3.transform(R, center_m - R @ center_m)
+
+
+def in_metres(T_base_tool: Transform) -> str:
+    """The position of a pose, in words."""
+    x, y, z = T_base_tool[:3, 3]
+    return f"({x:.3f}, {y:.3f}, {z:.3f}) m"
 
 
 def checked_pose(T: object, source: str) -> Transform:

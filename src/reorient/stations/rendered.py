@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import trimesh
 from jaxtyping import Float
 from numpy.random import Generator
 
@@ -12,6 +11,7 @@ from reorient.controller.station import rigid
 from reorient.errors import StationError
 from reorient.imaging import DepthImage
 from reorient.se3 import Transform
+from reorient.world.meshes import Mesh
 from reorient.world.rendering import Renderer, World
 from reorient.world.sensing import Sensor, sense
 
@@ -27,7 +27,7 @@ class RenderedStation:
 
     def __init__(
         self,
-        mesh: trimesh.Trimesh,
+        mesh: Mesh,
         world: World,
         sensor: Sensor,
         rng: Generator,

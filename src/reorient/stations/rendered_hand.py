@@ -10,13 +10,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-import trimesh
 from jaxtyping import Float
 from numpy.random import Generator
 
 from reorient import so3
 from reorient.controller.guiding import GuideState
 from reorient.imaging import DepthImage
+from reorient.world.meshes import Mesh
 from reorient.world.rendering import Placement, Renderer, World
 from reorient.world.sensing import Sensor, sense
 
@@ -56,7 +56,7 @@ class RenderedHand:
 
     def __init__(
         self,
-        mesh: trimesh.Trimesh,
+        mesh: Mesh,
         world: World,
         sensor: Sensor,
         rng: Generator,

@@ -8,13 +8,13 @@ import numpy as np
 from jaxtyping import Float
 
 from reorient import se3, so3
-from reorient.controller.station import missing_members, rigid
+from reorient.controller.station import rigid
 from reorient.errors import ReorientError, StationError
 from reorient.imaging import DepthImage, Isolation
 from reorient.perception.robot_calibration import RobotCalibration
 from reorient.se3 import Transform
-from reorient.stations.drivers import ArmDriver, CameraDriver
-from reorient.stations.guarded import FreshFrames, GuardedArm, Isolate, RobotLimits
+from reorient.stations.drivers import ArmDriver, CameraDriver, check_drivers
+from reorient.stations.guarded import FreshFrames, GuardedArm, Isolate, RobotLimits, in_metres
 
 
 class RobotStation:
@@ -36,14 +36,9 @@ class RobotStation:
         """``isolate``: takes the whole frame to the object; the sphere of an ``Isolation`` is centred on the pivot.
         ``limits`` None: the defaults, without a workspace box.
 
-        Raises ReorientError for a driver that lacks a method, and for a calibration of another kind.
+        Raises ReorientError for a driver that lacks a method or is a class, and for a calibration of another kind.
         """
-        for name, driver, members in (
-            ("camera", camera, ("capture",)),
-            ("arm", arm, ("pose", "move_to", "stop")),
-        ):
-            if missing := missing_members(driver, members):
-                raise ReorientError(f"{name} {driver!r} has no {', '.join(missing)}: expected {', '.join(members)}")
+        check_drivers(camera, arm)
         if not isinstance(calibration, RobotCalibration):
             raise ReorientError(f"calibration {calibration!r}: expected the result of reorient.calibrate")
         self.arm = arm if isinstance(arm, GuardedArm) else GuardedArm(arm, limits, calibration.p_tool_object_m)
@@ -76,8 +71,11 @@ class RobotStation:
             raise StationError("refused to rotate: expected a (3, 3) rotation matrix")
         before = self.arm.pose()
         poses = self._poses(R_step, before)
-        if not all(map(self.arm.reachable, poses)):
-            raise StationError("refused to rotate: a pose on the way is outside the workspace box or out of reach")
+        if outside := [pose for pose in poses if not self.arm.reachable(pose)]:
+            raise StationError(
+                f"refused to rotate: on the way the tool would be at {in_metres(outside[0])}, outside the workspace "
+                "box or out of reach"
+            )
         after = before
         try:
             for pose in poses:
@@ -101,7 +99,9 @@ class RobotStation:
         T_base_camera, before = self.calibration.T_base_camera, self.arm.pose()
         target = T_base_camera @ T @ se3.inverse(T_base_camera) @ before
         if not self.arm.reachable(target):
-            raise StationError("refused to move: the end is outside the workspace box or out of reach")
+            raise StationError(
+                f"refused to move the tool to {in_metres(target)}: outside the workspace box or out of reach"
+            )
         try:
             after = self.arm.move_to(target)
         finally:

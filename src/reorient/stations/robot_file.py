@@ -44,6 +44,7 @@ around_m = [0.0, 0.0, 0.62]         # its centre before that, camera axes (x rig
 # near_m = 0.3
 # far_m = 0.9
 # remove_plane = true               # a table behind the object
+# allow_touching = true             # the arm continues beyond the sphere
 
 [limits]
 # box_low_m = [0.2, -0.4, 0.1]      # workspace: the tool and the object stay inside, base axes

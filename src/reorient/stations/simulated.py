@@ -8,7 +8,6 @@ import time
 from functools import cache
 
 import numpy as np
-import trimesh
 from jaxtyping import Float
 from numpy.random import Generator
 
@@ -16,7 +15,7 @@ from reorient import se3, so3
 from reorient.errors import ReorientError, StationError
 from reorient.imaging import Camera, DepthImage
 from reorient.se3 import Transform
-from reorient.world.meshes import bounding_radius
+from reorient.world.meshes import Mesh, bounding_radius
 from reorient.world.objects import generated
 from reorient.world.rendering import Placement, Renderer
 from reorient.world.sensing import Sensor, randomised, sense
@@ -34,7 +33,7 @@ class SimulatedCell:
 
     def __init__(
         self,
-        mesh: trimesh.Trimesh,
+        mesh: Mesh,
         rng: Generator,
         sensor: Sensor | None = None,
         radius_m: float = 0.1,

@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from reorient.errors import ReorientError, in_short, reason_of
 
+Mesh = trimesh.Trimesh
 MOST_VERTICES = 500  # vertices of an object kept for ShapeMatch (paper, "Training Details")
 
 
