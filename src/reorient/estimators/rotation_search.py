@@ -17,7 +17,7 @@ from reorient.errors import ReorientError, unknown_name
 from reorient.estimators.base import History, RotationEstimate, check_pair, checked_history
 from reorient.estimators.confidence_sets import candidate_sets
 from reorient.estimators.equivalents import smallest_equivalent
-from reorient.estimators.goal_symmetry import NONE, equivalents, symmetries
+from reorient.estimators.goal_symmetry import NONE, equivalents, supported, symmetries
 from reorient.estimators.polish import expected_covariance, polish, uncertainty
 from reorient.estimators.search import EFFORTS, Found, search
 from reorient.estimators.static_part import find_static_part
@@ -193,6 +193,7 @@ def polished(verified: Verified, group: Hypotheses = NONE) -> RotationEstimate:
     problem = verified.problem if verified.found.silhouettes[best] else verified.problem.without_silhouettes
     equivalent = distinct[1:][probability[distinct[1:]] >= SURE]  # a flip that only fits alike may be no symmetry
     chosen, axis = smallest_equivalent(problem, hypotheses[np.array([best])], hypotheses[equivalent])
+    group = supported(verified.problem, chosen, group)
     same = equivalents(chosen, group)
     chosen = same[:1]
     away_rad = so3.angle_difference(hypotheses.R[distinct][:, None], same.R).min(axis=1)
