@@ -11,8 +11,10 @@ from reorient import calibrate, load_estimator, se3, so3
 from reorient.errors import ReorientError
 from reorient.perception.robot_calibration import RobotCalibration, read_robot_calibration, write_robot_calibration
 from reorient.stations.checking import check
+from reorient.stations.drivers import check_drivers
 from reorient.stations.faulty_cell import PLANTED, planted, random_calibration
 from reorient.stations.guarded import GuardedArm, RobotLimits
+from reorient.stations.simulated import SimulatedArm
 
 NOISE_RAD = float(np.radians(0.3))
 
@@ -177,23 +179,24 @@ def test_a_broken_file_is_refused(tmp_path, text):
         read_robot_calibration(tmp_path / "c.json")
 
 
-class Deaf:
+class WithoutStop:
     def pose(self):
-        raise AssertionError("asked before it was checked")
+        pass
 
     def move_to(self, T_base_tool):
-        raise AssertionError("moved before it was checked")
+        pass
 
 
-def test_drivers_that_lack_a_method_or_are_classes_are_refused_before_they_are_asked():
+def test_drivers_that_lack_a_method_or_are_classes_are_refused():
     camera, arm = drivers(small_cell(1))
+    check_drivers(camera, arm)
     for wrong, message in (
-        ((camera, Deaf()), "has no stop: expected pose, move_to, stop"),
-        ((camera, Deaf), r"arm is the class Deaf: expected an object, Deaf\(\)"),
+        ((camera, WithoutStop()), "has no stop: expected pose, move_to, stop"),
+        ((camera, WithoutStop), r"arm is the class WithoutStop: expected an object, WithoutStop\(\)"),
         ((type(camera), arm), r"camera is the class SimulatedCamera: expected an object, SimulatedCamera\(\)"),
     ):
         with pytest.raises(ReorientError, match=message):
-            calibrate(*wrong)
+            check_drivers(*wrong)
 
 
 def test_the_workspace_box_holds_for_the_calibration():
@@ -201,4 +204,10 @@ def test_the_workspace_box_holds_for_the_calibration():
     x, y, z = cell.T_base_tool[:3, 3].tolist()
     box = RobotLimits(box_low_m=(x - 1e-3, y - 1e-3, z - 1e-3), box_high_m=(x + 1e-3, y + 1e-3, z + 1e-3))
     with pytest.raises(ReorientError, match="rotations of the tool are reachable from here"):
-        calibrate(*drivers(cell), estimator=KnowingEstimator(cell), tool_point_m=np.array([0.1, 0.0, 0.0]), limits=box)
+        calibrate(
+            drivers(cell)[0],
+            SimulatedArm(cell),
+            estimator=KnowingEstimator(cell),
+            tool_point_m=np.array([0.1, 0.0, 0.0]),
+            limits=box,
+        )

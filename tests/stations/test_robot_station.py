@@ -140,7 +140,7 @@ def test_a_pose_on_the_way_counts(cell, station):
     middle = station._poses(half_turn, station.arm.pose())[2]
     station.arm._arm.reachable = lambda T: not np.allclose(T, middle)
     assert not station.reachable(half_turn)
-    with pytest.raises(StationError, match="a pose on the way"):
+    with pytest.raises(StationError, match="on the way the tool would be at"):
         station.rotate(half_turn)
     assert station.arm._arm.moves == 0
 

@@ -58,7 +58,7 @@ class ArmDriver(Protocol):
         ...
 
 
-def check_drivers(camera: CameraDriver, arm: ArmDriver) -> None:
+def check_drivers(camera: object, arm: object) -> None:
     """Raise ReorientError for a driver that lacks a method, and for a class in place of an object."""
     for name, driver, members in (
         ("camera", camera, ("capture",)),
