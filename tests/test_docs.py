@@ -245,8 +245,9 @@ def test_the_block_of_the_readme_runs():
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("unchecked")
-def test_the_block_of_the_robot_page_runs(monkeypatch):
-    (block,) = fenced((ROOT / "docs" / "robot.md").read_text(), "python")
+def test_the_block_of_the_robot_page_runs(monkeypatch, tmp_path):
+    block, _ = fenced((ROOT / "docs" / "robot.md").read_text(), "python")
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("time.sleep", lambda seconds: None)
     monkeypatch.setattr("reorient.stations.simulated.CAMERA", Camera(160, 120, 165.0, 165.0, 80.0, 60.0))
     for module in ("reorient", "reorient.stations.calibrating"):  # the default takes three times as long
