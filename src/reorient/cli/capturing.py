@@ -10,6 +10,7 @@ from reorient.cli.goals import print_statement, write_sheet
 from reorient.cli.isolating import IsolationOptions
 from reorient.cli.limits import LimitChoice
 from reorient.cli.stations import StationChoice
+from reorient.controller.station import Forwarding
 from reorient.errors import ReorientError, check_counts, check_range
 from reorient.imaging import DepthImage
 from reorient.plugins import in_one_line
@@ -74,16 +75,10 @@ class Capture:
         print(self.out if self.choice.station else f"{self.out} (simulated: no --station was given)")
 
 
-class _WithoutOcclusion:
+class _WithoutOcclusion(Forwarding):
     """A simulated station whose gripper is left out of the images."""
-
-    def __init__(self, station: Any) -> None:
-        self._station = station
 
     def capture(self) -> DepthImage:
         """The goal image."""
-        image: DepthImage = self._station.capture_goal()
+        image: DepthImage = self.capture_goal()
         return image
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._station, name)

@@ -1,7 +1,7 @@
 """The station protocol: a camera that captures the object and a gripper that rotates it."""
 
 from collections.abc import Sequence
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -37,6 +37,35 @@ class Station(Protocol):
     def rotate(self, R_step: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
         """Rotate the object: R_after = R_step @ R_before, camera axes. Returns the executed rotation."""
         ...
+
+
+class Forwarding:
+    """A station that is another one; a subclass changes some of its members.
+
+    Those of the protocol are here, as ``isinstance`` does not see the ones of ``__getattr__`` from Python 3.12 on.
+    """
+
+    def __init__(self, station: Station) -> None:
+        self._station = station
+
+    @property
+    def pivot_m(self) -> Float[np.ndarray, "3"] | None:
+        """The station's pivot."""
+        return self._station.pivot_m
+
+    def capture(self) -> DepthImage:
+        """The station's image."""
+        return self._station.capture()
+
+    def rotate(self, R_step: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
+        """The station's rotation."""
+        return self._station.rotate(R_step)
+
+    def __getattr__(self, name: str) -> Any:
+        """Optional members of the station."""
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return getattr(self._station, name)
 
 
 def missing_members(thing: object, members: Sequence[str]) -> list[str]:

@@ -1,17 +1,19 @@
 """A station in a view whose every move is asked for."""
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from reorient.controller.station import Forwarding, Station
 
-class Asking:
+
+class Asking(Forwarding):
     """A station whose every move waits for an answer; a no ends the loop as the keyboard does."""
 
-    def __init__(self, station: Any, ask: Callable[[Float[np.ndarray, "3 3"]], bool]) -> None:
-        self._station, self._ask = station, ask
+    def __init__(self, station: Station, ask: Callable[[Float[np.ndarray, "3 3"]], bool]) -> None:
+        super().__init__(station)
+        self._ask = ask
         self.moving = False
 
     def rotate(self, R_step: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
@@ -20,10 +22,6 @@ class Asking:
             raise KeyboardInterrupt
         self.moving = True
         try:
-            R: Float[np.ndarray, "3 3"] = self._station.rotate(R_step)
+            return super().rotate(R_step)
         finally:
             self.moving = False
-        return R
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._station, name)
