@@ -97,6 +97,15 @@ def test_the_loss_counts_each_way_of_being_right():
     assert loss(torch.tensor([4.0, -4.0, 4.0, -4.0]), right, of, 2) > good + 0.9
 
 
+def test_the_verb_trains_and_writes(data, tmp_path, monkeypatch):
+    monkeypatch.setattr("reorient.learning.image_sets.read_sets", lambda folders, effort="normal": data)
+    out, tiny = tmp_path / "images.onnx", ("--rounds", "1", "--steps", "1", "--held-out", "0.3")
+    main(
+        ["verifier", "images", str(tmp_path / "data"), "--run-folder", str(tmp_path / "run"), "--out", str(out), *tiny]
+    )
+    assert load_image_verifier(out).calibration.keys() == {"normal"}
+
+
 def test_from_objects_to_sets(tmp_path):
     made = ("--count", "2", "--pairs", "2", "--per-shard", "1", "--effort", "fast", "--least-deg", "90")
     main(["verifier", "make", str(tmp_path / "data"), "--images", *made])

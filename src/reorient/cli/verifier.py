@@ -97,7 +97,7 @@ class TrainImages:
 
     def run(self) -> None:
         """Read, train, calibrate, write, print."""
-        require("train", "sklearn", "torch", "onnx")
+        require("sklearn", "torch", "onnx")
         from reorient.learning.image_sets import read_sets
         from reorient.learning.image_training import Run, finish
 
