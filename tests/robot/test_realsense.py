@@ -3,6 +3,7 @@
 import time
 
 import numpy as np
+import pyrealsense2 as rs
 import pytest
 import realsense_device as device
 
@@ -37,6 +38,19 @@ def test_a_recording_keeps_depth_intrinsics_units_and_stamps(recording):
     assert (optics.cx, optics.cy) == (321.5, 238.5)  # pixel centres at integers there, at +0.5 here
     with pytest.raises(StationError, match="the recording ended"):
         camera.capture()
+    camera.close()
+
+
+def test_a_recording_loses_no_frame_where_the_start_takes_long(recording, monkeypatch):
+    class Slow(rs.pipeline):
+        def start(self, *args):
+            profile = super().start(*args)
+            time.sleep(0.3)
+            return profile
+
+    monkeypatch.setattr(rs, "pipeline", Slow)
+    camera = RealSenseCamera(recording=recording, timeout_s=1.5)
+    assert [round(camera.capture().stamp_s * device.RATE_HZ) for _ in range(4)] == [0, 1, 2, 3]
     camera.close()
 
 

@@ -82,9 +82,10 @@ class RealSenseCamera:
         pipeline = rs.pipeline()
         try:
             self._check_connected()
-            profile = pipeline.start(config)
-            if self.recording:
-                profile.get_device().as_playback().set_real_time(False)
+            if self.recording:  # before the start: frames played in real time until then would be lost
+                device = config.resolve(rs.pipeline_wrapper(pipeline)).get_device()
+                device.as_playback().set_real_time(False)
+            pipeline.start(config)
         except RuntimeError as error:
             raise StationError(
                 f"cannot open {self._name()} ({error}): expected a camera that no other program uses, and streams that "
