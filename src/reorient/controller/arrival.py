@@ -21,7 +21,7 @@ from scipy import ndimage
 from reorient import so3
 from reorient.estimators.base import RotationEstimate
 from reorient.imaging import DepthImage, Goal
-from reorient.registration import DepthView, build_problem, measure_evidence, refine
+from reorient.registration import DepthView, build_problem, refine
 
 POINTS = 1500
 """Points of each image in inlier ratios and scores. Not tuned."""
@@ -124,17 +124,14 @@ class ArrivalTest(PoseSettings):
     """Inlier ratios are of the latest so many observations. Not tuned."""
     tolerance: float = 0.012
     """Largest depth difference of an inlier, relative to the object diameter. Loops of tuning objects (ed0cd77)."""
-    neutral: float = -0.06
-    """Difference of inlier ratios (goal less observations, relative to the observations' outliers) at log-odds 0. Loops
-    of tuning objects (ed0cd77)."""
+    neutral: float = -0.085
+    """Difference of inlier ratios (goal less observations, relative to the observations' outliers) at log-odds 0. 360
+    arrivals of tuning objects, half of them with an occluding rectangle (docs/tuning.md)."""
     unit: float = 0.05
-    """Change of that difference that adds 1 nat. Loops of tuning objects (ed0cd77)."""
-    outlier_offset: float = 0.05
+    """Change of that difference that adds 1 nat. Same arrivals."""
+    outlier_offset: float = 0.15
     """Added to the observations' outlier ratio where the difference of inlier ratios is divided by it, so that
-    noise-free images do not divide by 0. Loops of tuning objects (03a703d)."""
-    displaced_px: float = 1.0
-    """Shift of the object against the goal image, pixels, above which the two images sample other points of its
-    surface; then a point is compared with the four pixels around it. Not tuned."""
+    a few points of low-noise images do not decide. Same arrivals."""
     max_deviations: float = 3.0
     """Bound on one depth difference, in standard deviations. 2 to 20 on 203 look-alikes (benchmarks/lookalikes.py)."""
     misalignment_px: float = 0.6
@@ -174,11 +171,9 @@ class ArrivalTest(PoseSettings):
         latest = observations[-self.window :]
         views, motions = [x.view for x in latest], [x.motion for x in latest]
         tolerance_m = self.tolerance * max(views[0].diameter_m, goal.view.diameter_m)
-        shift_px = np.median([_shift_px(view, motion) for view, motion in zip(views, motions, strict=True)])
-        inlier_ratio = _inlier_ratio if shift_px <= self.displaced_px else _inlier_ratio_between_pixels
-        to_goal = [inlier_ratio(view, goal.view, motions, tolerance_m) for view in views]
+        to_goal = [_inlier_ratio(view, goal.view, motions, tolerance_m) for view in views]
         between = [(Rb.T @ Ra, Rb.T @ (ta_m - tb_m)) for (Ra, ta_m), (Rb, tb_m) in permutations(motions, 2)]
-        own = [inlier_ratio(a, b, between, tolerance_m) for a, b in pairwise(views)]
+        own = [_inlier_ratio(a, b, between, tolerance_m) for a, b in pairwise(views)]
         excess = (np.mean(to_goal) - np.mean(own)) / (1 + self.outlier_offset - np.mean(own))
         return float(np.clip((excess - self.neutral) / self.unit, -self.max_log_odds, self.max_log_odds))
 
@@ -239,17 +234,11 @@ class ArrivalTest(PoseSettings):
 
 
 def _inlier_ratio(view: DepthView, other: DepthView, motions: Sequence[Motion], tolerance_m: float) -> float:
-    """The inlier ratio of two views under the best of some motions."""
-    return max(measure_evidence(view, other, R, t_m, tolerance_m, POINTS).inlier_ratio for R, t_m in motions)
+    """The inlier ratio of two views under the best of some motions.
 
-
-def _inlier_ratio_between_pixels(
-    view: DepthView, other: DepthView, motions: Sequence[Motion], tolerance_m: float
-) -> float:
-    """The same, of points within the tolerance of any of the four pixels around them.
-
-    Pixels of an object that was shifted show other points of its surface: on a steep one their depths differ by more
-    than the tolerance, which successive images of one pose never show.
+    Inliers are within the tolerance of any of the four pixels around them. Pixels of an object that moved by a fraction
+    of a pixel show other points of its surface: on a steep one their depths differ by more than the tolerance, which
+    successive images of one pose never show.
     """
 
     def share(target: DepthView, points_m: Float[np.ndarray, "3 n"]) -> float:
@@ -261,14 +250,6 @@ def _inlier_ratio_between_pixels(
     return max(
         (share(other, R @ own + t_m[:, None]) + share(view, R.T @ (others - t_m[:, None]))) / 2 for R, t_m in motions
     )
-
-
-def _shift_px(view: DepthView, motion: Motion) -> float:
-    """How far a motion shifts the middle of the returns, in pixels at their depth."""
-    middle_m = view.points_m.mean(axis=0)
-    R, t_m = motion
-    shift_m = float(np.linalg.norm(R @ middle_m + t_m - middle_m))
-    return shift_m * view.image.camera.fx / float(middle_m[2])
 
 
 def _noise_m(observations: Sequence[Observation]) -> float:

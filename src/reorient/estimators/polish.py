@@ -133,9 +133,9 @@ def uncertainty(problem: Problem, answer: Polished) -> tuple[Float[np.ndarray, "
 
 def expected_covariance(current: DepthView, goal: Sequence[PosedView]) -> Float[np.ndarray, "3 3"]:
     """Covariance (rad^2) of the rotation vector that ``uncertainty`` is likely to give at the goal pose: that of the
-    primary goal view against all, with the noise of a current one."""
-    problem = Problem.of((PosedView.first(goal[0].view),), tuple(goal), None)
-    noise2 = (current.noise_m**2 + np.mean([x.view.noise_m**2 for x in goal])) / problem.diameter_m**2
+    primary goal view against those of its side, with the noise of a current one."""
+    problem = Problem.of((PosedView.first(goal[0].view),), tuple(goal), None).nearest_views(np.eye(3))
+    noise2 = (current.noise_m**2 + np.mean([x.view.noise_m**2 for x in problem.goal_views])) / problem.diameter_m**2
     residual = max(float(np.sqrt(noise2)), POLISH.quiet)
     still = Hypotheses(np.eye(3)[None], np.zeros((1, 3)))
     H, _ = normal_equations(problem, still, POLISH.noise_factor * residual, POLISH.points)

@@ -198,8 +198,9 @@ def polished(verified: Verified, group: Hypotheses = NONE) -> RotationEstimate:
     chosen = same[:1]
     away_rad = so3.angle_difference(hypotheses.R[distinct][:, None], same.R).min(axis=1)
     others = distinct[away_rad > DISTINCT_RAD]
-    answer = polish(problem, chosen, *([] if verified.found.silhouettes[best] else [verified.problem]))
-    covariance, converged = uncertainty(problem, answer)
+    near, also = (x.nearest_views(chosen.R[0]) for x in (problem, verified.problem))
+    answer = polish(near, chosen, *([] if verified.found.silhouettes[best] else [also]))
+    covariance, converged = uncertainty(near, answer)
     motion = answer.hypothesis.R[0], answer.hypothesis.t_m[0]
     evidence = verified.problem.evidence(*motion, INLIER_TOLERANCE * problem.diameter_m, EVIDENCE_POINTS)
     unsupported = not evidence.covisible_inlier_ratio >= LEAST_COVISIBLE  # also if it is NaN

@@ -13,6 +13,7 @@ from math import sqrt
 import numpy as np
 from jaxtyping import Float
 
+from reorient import so3
 from reorient.registration.depth_view import DepthView, Warped
 from reorient.registration.evidence import Evidence, evidence_of, score, warp_both
 from reorient.registration.hypotheses import Hypotheses, rotate
@@ -22,6 +23,9 @@ PRIOR_COST = 0.01  # of the score, for each unit of the prior's squared Mahalano
 LARGEST_DISTANCE2 = 20.0
 FEWEST_POINTS = 50  # of an image in a pair
 BOX_POINTS = 100
+NEAR_RAD = float(np.radians(10))
+"""Of 50 tuning objects with six goal views, polished 1 / 5 / 10 / 15 degrees from one: with that view alone the median
+error is 0.26 / 0.33 / 0.35 / 0.41 degrees, with all views 0.36 / 0.34 / 0.40 / 0.43."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +114,14 @@ class Problem:
     def without_pivot(self) -> "Problem":
         """The problem with guesses in place of a known pivot."""
         return Problem.of(self.views_now, self.goal_views, None)
+
+    def nearest_views(self, R: Float[np.ndarray, "3 3"]) -> "Problem":
+        """The problem of the goal views from nearly the same side as the current view, for a rotation; all if none is.
+
+        Images of one side sample the same surface: their errors are alike, and cancel.
+        """
+        near = tuple(x for x in self.goal_views if so3.angle_difference(R, x.R_first_view) <= NEAR_RAD)
+        return replace(self, goal_views=near or self.goal_views)
 
     def of_views(self, now: tuple[PosedView, ...], goal: tuple[PosedView, ...]) -> "Problem":
         """The problem of other views, with this one's pivot, if that is known."""
