@@ -2,8 +2,9 @@
 
     python benchmarks/guide_trials.py out/guide.csv --meshes FOLDER --only results/household-reporting.txt --trials 100
 
-Objects are drawn from the folder; each begins 10-60 degrees from the goal. A trial ends at the match, or after 60
-seconds of the hand's time. The error is symmetry-aware. An interrupted run continues where it stopped.
+Objects are drawn from the folder; each begins 10-60 degrees from the goal, which is the mean of five images, as
+``reorient capture`` takes it. A trial ends at the match, or after 60 seconds of the hand's time. The error is
+symmetry-aware. An interrupted run continues where it stopped.
 """
 
 import sys
@@ -22,6 +23,7 @@ from reorient.controller.guide_log import GuideLog
 from reorient.controller.guiding import Guide, GuideState
 from reorient.estimators.base import Estimator
 from reorient.estimators.tracking import Tracker
+from reorient.imaging.averaging import mean_image
 from reorient.runs.provenance import commit
 from reorient.runs.run import Row
 from reorient.stations.rendered_hand import RenderedHand
@@ -32,6 +34,7 @@ from reorient.world.symmetry import rotation_group, symmetric_error
 
 START_DEG = (10.0, 60.0)
 LONGEST_S = 60.0
+CAPTURES = 5  # of the goal
 COLUMNS = (
     *("trial", "object", "start_deg", "status", "seconds", "error_deg", "confidence", "losses", "images", "cpu_s"),
     "commit",
@@ -82,7 +85,8 @@ def rows_of(config: Trials, done: int) -> Iterator[dict[str, Any]]:
 def _trial(hand: RenderedHand, estimator: Estimator) -> tuple[GuideState, GuideLog]:
     """The last state, at which the hand still is, and the counts."""
     log = GuideLog(None)
-    for state in Guide(Tracker(estimator, hand.goal())).states(hand.frames()):
+    goal = mean_image([hand.goal() for _ in range(CAPTURES)])
+    for state in Guide(Tracker(estimator, goal)).states(hand.frames()):
         hand(state)
         log(state)
         if state.status == "matched" or state.time_s > LONGEST_S:

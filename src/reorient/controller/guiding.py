@@ -80,7 +80,8 @@ class Guidance:
     hold_s: float = 0.5
     """How long the object must stay within the tolerance."""
     leave: float = 3.0
-    """A matched object that is rotated by so many tolerances has left; the next one begins."""
+    """A matched object that is rotated by so many tolerances has left; the next one begins. Also how far a tracked
+    rotation may be from the one before without motion."""
     opposite: bool = False
     """Whether the worker looks towards the camera, and not from it: then left and right are exchanged."""
 
@@ -114,7 +115,8 @@ class Guide:
     def __init__(self, tracker: RotationTracker, settings: Guidance | None = None) -> None:
         self.settings = settings or Guidance()
         self._tracker = tracker
-        self._held: list[tuple[float, Float[np.ndarray, "3 3"]]] = []
+        self._latest: list[tuple[float, Float[np.ndarray, "3 3"]]] = []  # of the time of a hold; noise cancels in them
+        self._held_from_s: float | None = None
         self._matched, self._part, self._failed = False, 0, False
 
     def states(self, frames: Frames) -> Iterator[GuideState]:
@@ -145,7 +147,7 @@ class Guide:
         return "rotate the object to another side" if self._failed else "hold the object still"
 
     def _unknown(self, state: GuideState) -> GuideState:
-        self._held.clear()
+        self._release()
         if self._matched:
             self._next_part()
         return replace(state, part=self._part)
@@ -157,22 +159,37 @@ class Guide:
             self._next_part()
         if self._matched:
             return replace(state, status="matched", instruction="matched", held_s=self._held_s, part=self._part)
-        self._hold(state.time_s, angle_rad, state.R_goal_current)
+        mean_rad = self._hold(state.time_s, state.R_goal_current)  # type: ignore[arg-type]
         state = replace(state, held_s=self._held_s, part=self._part)
-        if not self._held:
+        if self._held_from_s is None:
             words = in_words(state.R_goal_current, self.settings.opposite)  # type: ignore[arg-type]
             return replace(state, status="rotate", instruction=words)
-        mean = so3.mean(np.stack([R for _, R in self._held]))
-        steady = self._held_s >= self.settings.hold_s and so3.angle(mean) <= self._enough_rad
+        steady = self._held_s >= self.settings.hold_s and mean_rad <= self._enough_rad
         return replace(state, status="verifying" if steady else "hold", instruction="hold the object still")
 
-    def _hold(self, time_s: float, angle_rad: float, R: Float[np.ndarray, "3 3"] | None) -> None:
-        """Hold from where the angle is small enough until it is above the tolerance."""
-        if angle_rad > (self.settings.tolerance_rad if self._held else self._enough_rad):
-            self._held.clear()
-        elif R is not None:
-            self._held.append((time_s, R))
-            self._held = [x for x in self._held if time_s - x[0] <= 2 * self.settings.hold_s]
+    def _hold(self, time_s: float, R: Float[np.ndarray, "3 3"]) -> float:
+        """Hold from where the rotation, or the mean of the latest ones, is small enough until both are above the
+        tolerance; returns the mean's angle. Of an object that moved by far the earlier ones do not count."""
+        settings = self.settings
+        if self._latest and so3.angle_difference(R, self._latest[-1][1]) > settings.leave * settings.tolerance_rad:
+            self._latest.clear()
+        self._latest = [x for x in (*self._latest, (time_s, R)) if time_s - x[0] <= settings.hold_s]
+        mean_rad = self._mean_rad()
+        angle_rad = min(mean_rad, float(so3.angle(R)))
+        if angle_rad > (self._enough_rad if self._held_from_s is None else settings.tolerance_rad):
+            self._held_from_s = None
+        elif self._held_from_s is None:
+            self._held_from_s = time_s
+        return mean_rad
+
+    def _mean_rad(self, *others: Float[np.ndarray, "3 3"]) -> float:
+        """The angle between no rotation and the mean of the latest ones, or of that mean and others."""
+        mean = so3.mean(np.stack([R for _, R in self._latest]))
+        return float(so3.angle(so3.mean(np.stack([mean, *others]))))
+
+    def _release(self) -> None:
+        self._latest.clear()
+        self._held_from_s = None
 
     @property
     def _enough_rad(self) -> float:
@@ -180,20 +197,20 @@ class Guide:
 
     @property
     def _held_s(self) -> float:
-        return self._held[-1][0] - self._held[0][0] if self._held else 0.0
+        return 0.0 if self._held_from_s is None else self._latest[-1][0] - self._held_from_s
 
     def _verified(self, state: GuideState, image: DepthImage) -> GuideState:
         """The state after the check of a match."""
         estimate = self._tracker.confirm(image)
-        if estimate is None or estimate.angle_rad > self.settings.tolerance_rad:
-            self._held.clear()
+        if estimate is None or self._mean_rad(estimate.R_goal_current) > self.settings.tolerance_rad:
+            self._release()
             return replace(state, status="hold", held_s=0.0)
         self._matched = True
         return replace(state, status="matched", instruction="matched", estimate=estimate)
 
     def _next_part(self) -> None:
         self._matched, self._part = False, self._part + 1
-        self._held.clear()
+        self._release()
 
 
 _WORDS = (
