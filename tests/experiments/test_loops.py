@@ -7,8 +7,10 @@ import pytest
 import trimesh
 
 from reorient.cli import main
+from reorient.controller import orient
 from reorient.errors import ReorientError
 from reorient.estimators import load_estimator
+from reorient.experiments import loops
 from reorient.experiments.loops import COLUMNS, Loops, run_loops, run_trial, trials
 from reorient.reporting.loop_tables import markdown_loops, read_loop_rows
 from reorient.world.objects import ObjectSource, generated
@@ -61,6 +63,21 @@ def test_starts_noise_and_faults_are_those_of_the_seed():
     assert float(first[1]["angle_deg"]) != pytest.approx(10, abs=0.1)
     other = rows_of(replace(config, seed=1))
     assert [row["trajectory_deg"] for row in other] != [row["trajectory_deg"] for row in first]
+
+
+def test_goal_views_are_means_of_captures(monkeypatch):
+    goals = []
+
+    def noted(station, goal, *more, **options):
+        goals.append(goal.image.depth_m)
+        return orient(station, goal, *more, **options)
+
+    monkeypatch.setattr(loops, "orient", noted)
+    for captures in (1, 5):
+        rows_of(replace(SMALL, systems=("gicp/direct",), goal_captures=captures))
+    once_m, mean_m = goals
+    both = (once_m > 0) & (mean_m > 0)
+    assert 0.5e-3 < np.median(np.abs(once_m - mean_m)[both]) < 1e-3  # noise of 1 mm, and little in the mean
 
 
 def test_symmetric_objects_can_be_chosen(tmp_path):

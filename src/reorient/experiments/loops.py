@@ -20,7 +20,8 @@ from reorient.controller import Limits, Step, orient
 from reorient.errors import MOST, OutOfRange, ReorientError, check_counts, check_distinct, check_range
 from reorient.experiments.cached import cached_object
 from reorient.experiments.systems import load_system, names_of
-from reorient.imaging import Goal, GoalView
+from reorient.imaging import DepthImage, Goal, GoalView
+from reorient.imaging.averaging import mean_image
 from reorient.runs.pool import Pool
 from reorient.runs.run import Progress, Row, RowStore, Tables, resumable
 from reorient.stations.faulty import FaultyStation
@@ -66,6 +67,8 @@ class Loops:
     """Unreported execution error of each rotation of 30 degrees or more, in proportion less for smaller rotations."""
     goal_views: int = 1
     """Number of goal views: the primary one and others 60 degrees away; six are all round."""
+    goal_captures: int = 1
+    """Number of images that each goal view is the mean of; ``reorient capture`` takes five."""
     symmetric: bool = False
     """Use objects with a symmetry (or flat, or with few faces) instead of all."""
     world: str = "benchmark"
@@ -86,7 +89,7 @@ class Loops:
                 raise OutOfRange("start_deg", self.start_deg, "degrees above 0, at most 180, or 'any'")
         check_range(self, "noise_mm", "slack_deg", "seed")
         check_range(self, "faults", high=1)
-        check_counts(self, "objects", "trials")
+        check_counts(self, "objects", "trials", "goal_captures")
         check_range(self, "goal_views", low=1, high=ALL_ROUND)
         check_distinct(self, "systems", "start_deg", "noise_mm")
         if self.objects * self.trials > MOST:
@@ -136,9 +139,9 @@ def _loop(trial: Trial, system: str) -> Row:
     mesh, group = cached_object(config.source, trial.object)
     rng, rng_faults = (np.random.default_rng([key, trial.trial, stream, config.seed]) for stream in (0, 1))
     station = RenderedStation(mesh, load_world(config.world), randomised(trial.noise_mm / 1000), rng)
-    primary, R_goal = station.capture_goal(), station.R_camera_object
+    primary, R_goal = _goal_view(station, config.goal_captures), station.R_camera_object
     R_start = _start(rng, trial.start_deg)
-    goal = Goal(primary, _further_views(station, rng, config.goal_views))
+    goal = Goal(primary, _further_views(station, rng, config))
     station.rotate(R_start)
     faulty = FaultyStation(station, rng_faults, config.faults, float(np.radians(config.slack_deg)))
     angle_deg, trajectory_deg = _error_sym_deg(station, R_goal, group), [_error_deg(station, R_goal)]
@@ -179,13 +182,18 @@ def _loop(trial: Trial, system: str) -> Row:
     return {column: str(row[column]) for column in COLUMNS}
 
 
-def _further_views(station: RenderedStation, rng: np.random.Generator, views: int) -> tuple[GoalView, ...]:
+def _goal_view(station: RenderedStation, captures: int) -> DepthImage:
+    """The mean of several images of the goal pose."""
+    return mean_image([station.capture_goal() for _ in range(captures)])
+
+
+def _further_views(station: RenderedStation, rng: np.random.Generator, config: Loops) -> tuple[GoalView, ...]:
     """Rotate the object away, capture, and rotate it back; views that show nothing are left out."""
     found = []
-    for R in rotations_away(rng, views):
+    for R in rotations_away(rng, config.goal_views):
         station.rotate(R)
         with suppress(ReorientError):
-            found.append(GoalView(station.capture_goal(), R.T))
+            found.append(GoalView(_goal_view(station, config.goal_captures), R.T))
         station.rotate(R.T)
     return tuple(found)
 
