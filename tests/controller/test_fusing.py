@@ -240,3 +240,19 @@ def test_the_last_image_decides_too(mesh):
     result = orient(station, goal, Oracle(station, R_goal, np.radians(3)), Fusing(max_images=3), limits=NOW)
     assert len(result.steps) <= 3
     assert result.status in ("unsure", "max_images")
+
+
+def test_a_last_estimate_that_leads_away_ends_unsure(mesh):
+    station, goal, R_goal = cell(mesh)
+
+    class Doubting(Oracle):
+        def estimate(self, *given, **more):
+            found = super().estimate(*given, **more)
+            if len(self.histories) < 4:
+                return found
+            return replace(found, R_goal_current=so3.exp(np.array([0, 0, np.radians(40)])), confidence=0.3)
+
+    result = orient(station, goal, Doubting(station, R_goal), Fusing(max_images=4), limits=NOW)
+    assert left_deg(station, R_goal) < 1
+    assert result.status == "unsure"
+    assert "the last estimate leads away" in result.reason

@@ -122,23 +122,25 @@ def settle(s: Situation) -> Decision | None:
 
 def done(s: Situation) -> Decision:
     """The end: converged if the remaining rotation is small, the pose passed the arrival test at least once, the shape
-    constrains the rotation, and the confidence suffices."""
+    constrains the rotation, the last estimate agrees, and the confidence suffices."""
     assert s.best is not None
     fused, viewpoint = _Fused.of(s), s.belief.viewpoint_now
     passed = s.best.arrival_log_odds >= s.settings.min_arrival_log_odds
     weak_axis_rad = viewpoint.arrival.weak_axis_error_rad if viewpoint.arrival else 0.0
     confidence = _confidence(s, fused.angle_rad, passed)
+    estimate = viewpoint.observations[-1].estimate
+    leads_away = not s.equals and estimate.angle_rad > s.belief.settings.same_rad
     status: Status = "unsure"
     if not fused.settled and fused.angle_rad > s.settings.enough_rad:
         status = "max_moves" if s.moves_left <= 0 else "max_images"
-    elif passed and not weak_axis_rad and confidence >= s.settings.min_confidence:
+    elif passed and not weak_axis_rad and not leads_away and confidence >= s.settings.min_confidence:
         status = "converged"
-    estimate = viewpoint.observations[-1].estimate
     parts = [
         f"estimate {degrees(estimate.angle_rad, 2)}, {fused}: {status.replace('_', ' ')}",
         *([] if fused.bound_rad is None else [f"within {degrees(fused.bound_rad, 2)} of the goal (95%)"]),
         *([] if status == "converged" else [f"confidence {format_probability(confidence)}"]),
         *([] if passed else ["no arrival test passed"]),
+        *(["the last estimate leads away"] if leads_away else []),
         *([f"the shape constrains one axis only to {degrees(weak_axis_rad, 1)}"] if weak_axis_rad else []),
         *([f"another orientation matches equally, {_SYMMETRY[s.symmetry[0]]}"] if s.equals else []),
     ]
