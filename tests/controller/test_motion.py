@@ -168,3 +168,13 @@ def test_the_strategy_of_few_moves_is_checked_too(mesh):
     station, goal, R_goal = away_cell(mesh, 100.0, noise_m=0.001)
     result = orient(Lying(station, "inverse"), goal, Oracle(station, R_goal), Fusing(), limits=NOW)
     assert (result.status, result.moves) == ("inconsistent_motion", 2)
+
+
+def test_an_object_that_is_mostly_hidden_decides_nothing(mesh):
+    _, goal, _ = away_cell(mesh)
+    cut = goal.depth_m.copy()
+    rows = np.flatnonzero(goal.valid.any(axis=1))
+    cut[rows[len(rows) // 5] :] = 0
+    measured = MotionTest()(goal, DepthImage(cut, goal.camera), so3.exp(np.array([0, 1.0, 0])))
+    assert measured.verdict == "undecided"
+    assert MotionTest()(goal, goal, so3.exp(np.array([0, 1.0, 0]))).verdict != "undecided"
