@@ -74,6 +74,7 @@ def _trial(config: FrankaLoops, seed: int) -> dict[str, Any]:
             found = read_robot_calibration(folder / "calibration.json").T_base_camera
             row["calibration_deg"] = f"{_apart_deg(found, cell.T_base_camera):.3f}"
             codes += [_reorient("check", robot, "--yes"), _reorient("capture", goal, "--station", robot)]
+        if not codes[-1]:
             T_goal = cell.T_camera_object
             _rotate_away(cell, config.start_deg, np.random.default_rng(seed))
             started_deg = _apart_deg(cell.T_camera_object, T_goal)
@@ -84,6 +85,8 @@ def _trial(config: FrankaLoops, seed: int) -> dict[str, Any]:
             print(f"final error by MuJoCo's poses: {final_deg:.2f} deg", flush=True)
             outcome = json.loads((record / "record.json").read_text())
             row |= {"status": outcome["status"], "final_deg": f"{final_deg:.3f}", "moves": _moves(outcome)}
+        else:
+            row["status"] = "refused"  # by calibration or capture, which says why
     return row | {"exit_codes": " ".join(map(str, codes)), "seconds": f"{time.perf_counter() - begin_s:.0f}"}
 
 
