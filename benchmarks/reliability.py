@@ -106,7 +106,7 @@ def killed(verb: str, times: int, folder: Path, pairs: Path, rng: random.Random)
         failed += code != 0
         ended += 1
         different += contents(out) != whole
-        leftovers += sum(path.name.startswith(".") and path.suffix != ".lock" for path in out.rglob("*"))
+        leftovers += sum(path.name.startswith(".") and path.name != ".lock" for path in out.rglob("*"))
         shutil.rmtree(out)
         out = folder / str(ended)
     return {
