@@ -137,7 +137,7 @@ class Guide:
         if estimate is None:
             yield self._unknown(replace(blank, instruction=self._advice()))
             return
-        state = self._known(replace(blank, estimate=estimate))
+        state = self._known(replace(blank, estimate=estimate), estimate)
         yield state
         if state.status == "verifying":
             yield self._verified(state, image)
@@ -152,17 +152,16 @@ class Guide:
             self._next_part()
         return replace(state, part=self._part)
 
-    def _known(self, state: GuideState) -> GuideState:
+    def _known(self, state: GuideState, estimate: RotationEstimate) -> GuideState:
         """The state of a known rotation."""
-        angle_rad, tolerance_rad = float(state.estimate.angle_rad), self.settings.tolerance_rad  # type: ignore[union-attr]
-        if self._matched and angle_rad > self.settings.leave * tolerance_rad:
+        if self._matched and estimate.angle_rad > self.settings.leave * self.settings.tolerance_rad:
             self._next_part()
         if self._matched:
             return replace(state, status="matched", instruction="matched", held_s=self._held_s, part=self._part)
-        mean_rad = self._hold(state.time_s, state.R_goal_current)  # type: ignore[arg-type]
+        mean_rad = self._hold(state.time_s, estimate.R_goal_current)
         state = replace(state, held_s=self._held_s, part=self._part)
         if self._held_from_s is None:
-            words = in_words(state.R_goal_current, self.settings.opposite)  # type: ignore[arg-type]
+            words = in_words(estimate.R_goal_current, self.settings.opposite)
             return replace(state, status="rotate", instruction=words)
         steady = self._held_s >= self.settings.hold_s and mean_rad <= self._enough_rad
         return replace(state, status="verifying" if steady else "hold", instruction="hold the object still")
