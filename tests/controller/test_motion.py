@@ -171,7 +171,7 @@ def test_the_strategy_of_few_moves_is_checked_too(mesh):
 
 
 def test_an_object_that_is_mostly_hidden_contradicts_no_right_report(mesh):
-    """As the arm does that comes between: what is left of the object matches many rotations."""
+    """An arm occludes most of it: the visible rest matches many rotations."""
     for seed in range(5):
         rng = np.random.default_rng(seed)
         station = RenderedStation(mesh, WORLD, Sensor(), rng)
