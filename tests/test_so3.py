@@ -169,6 +169,16 @@ def test_slerp_of_near_equal_rotations_is_finite_and_between(angle_rad):
     assert np.allclose(so3.angle_between(QUATS, half), angle_rad / 2, rtol=1e-3, atol=1e-15)
 
 
+def test_twist_leaves_the_smallest_angle(rng):
+    for R, axis in zip(so3.sample_uniform(rng, 20), so3.sample_axes(rng, 20), strict=True):
+        left = so3.angle(so3.exp(-so3.twist_angle(R, axis) * axis) @ R)
+        angles = so3.angle(so3.exp(np.linspace(-np.pi, np.pi, 361)[:, None] * axis) @ R)
+        assert left <= angles.min() + 1e-9
+        assert left == pytest.approx(angles.min(), abs=0.02)
+        assert so3.angle_but_about(R, axis) == pytest.approx(left)
+        assert so3.angle_but_about(R, None) == so3.angle(R)
+
+
 def test_mean_of_opposite_errors_is_the_truth(rng):
     errors_rad = rng.normal(0, 0.2, (20, 3))
     R = so3.exp(np.concatenate([errors_rad, -errors_rad])) @ ROTATIONS[0]

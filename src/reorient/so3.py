@@ -131,6 +131,19 @@ def angle_difference(R0: Matrices, R1: Matrices) -> Scalars:
     return angle(R0 @ np.swapaxes(R1, -1, -2))
 
 
+def twist_angle(R: Float[np.ndarray, "3 3"], axis: Float[np.ndarray, "3"]) -> float:
+    """The angle in [-pi, pi] by which R rotates about a unit axis (swing-twist decomposition): the rotation by it,
+    undone after R, leaves the smallest angle. 0 where all leave pi."""
+    w, *v = quat_from_matrix(R)
+    return 2 * float(np.arctan2(np.dot(axis, v), w))
+
+
+def angle_but_about(R: Matrices, axis: Float[np.ndarray, "3"] | None) -> Scalars:
+    """The angle that the best rotation about a unit axis leaves of each R: that by which R tilts the axis. Without an
+    axis the angle of R."""
+    return angle(R) if axis is None else np.asarray(np.arccos(np.clip(R @ axis @ axis, -1, 1)))
+
+
 def mean(R: Float[np.ndarray, "n 3 3"], weights: Float[np.ndarray, " n"] | None = None) -> Float[np.ndarray, "3 3"]:
     """The (weighted) chordal mean of rotations."""
     return np.asarray(Rotation.from_matrix(R).mean(weights).as_matrix())

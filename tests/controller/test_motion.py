@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from oracles import NOW, WORLD, Always, Oracle, Wrapped
+from oracles import NOW, WORLD, Always, Oracle, Wrapped, answer
 from oracles import cell as away_cell
 
 from reorient import Algorithm1, Fusing, orient, so3
@@ -150,17 +150,21 @@ def test_an_unknown_motion_begins_anew(mesh):
     station, goal, R_goal = away_cell(mesh)
     estimate = Oracle(station, R_goal).estimate(goal, goal)
     R, image, other = so3.exp(np.array([1.0, 0, 0])), seen(mesh, np.eye(3)), seen(mesh, R_goal)
+
+    def after(image):
+        return Step(2, image, estimate)
+
     unknown = Step(0, image, estimate, R_step=R, error="no answer")
     assert unknown.motion_unknown
-    record = MotionRecord.start(image).updated(unknown, other)
+    record = MotionRecord.start(image).updated(unknown, after(other))
     assert record.before is other
     assert not record.unconfirmed
     still = Step(1, other, estimate, R_step=R, R_executed=R)
-    once = record.updated(still, other)
+    once = record.updated(still, after(other))
     assert [x.verdict for x in once.unconfirmed] == ["beyond slip"]
     assert not once.contradiction
-    assert once.updated(still, other).contradiction
-    moved = once.updated(still, seen(mesh, R @ R_goal))
+    assert once.updated(still, after(other)).contradiction
+    moved = once.updated(still, after(seen(mesh, R @ R_goal)))
     assert not moved.unconfirmed  # confirmed: forgotten
 
 
@@ -182,3 +186,18 @@ def test_an_object_that_is_mostly_hidden_contradicts_no_right_report(mesh):
         seen = np.cumsum(after.valid.sum(axis=1)) <= 0.45 * np.count_nonzero(before.valid)
         hidden = DepthImage(np.where(seen[:, None], after.depth_m, 0), after.camera)
         assert MotionTest()(before, hidden, R).verdict in ("undecided", "confirmed")
+
+
+def test_estimates_that_agree_with_a_report_outweigh_a_resemblance(mesh):
+    """The images show no motion where a near symmetry was rotated: the estimates to the goal know better."""
+    R, R_goal_before = so3.exp(np.array([1.0, 0, 0])), so3.exp(np.array([0.3, 1.0, 0]))
+    image = seen(mesh, np.eye(3))
+    last = Step(0, image, answer(R_goal_before, 0.9), R_step=R, R_executed=R)
+
+    def unconfirmed(R_goal_now, confidence=0.9):
+        now = Step(1, seen(mesh, np.eye(3), 1), answer(R_goal_now, confidence))
+        return [x.verdict for x in MotionRecord.start(image).updated(last, now).unconfirmed]
+
+    assert unconfirmed(R_goal_before @ R.T) == []
+    assert unconfirmed(R_goal_before @ R.T, confidence=0.3) == ["beyond slip"]
+    assert unconfirmed(R_goal_before) == ["beyond slip"]

@@ -37,27 +37,51 @@ def box():
 @pytest.mark.slow
 def test_a_box_has_three_half_rotations(box):
     pair, goal = box
-    group = symmetries(goal)
-    np.testing.assert_allclose(np.degrees(so3.angle(group.R)), 180, atol=2)
+    R = symmetries(goal).rotations
+    np.testing.assert_allclose(np.degrees(so3.angle(R)), 180, atol=2)
     to_goal = pair.R_goal_current @ pair.R_camera_object
-    axes = np.array([so3.log(R) / np.pi for R in to_goal.T @ group.R @ to_goal])
+    axes = np.array([so3.log(x) / np.pi for x in to_goal.T @ R @ to_goal])
     np.testing.assert_allclose(np.sort(np.abs(axes).argmax(axis=1)), [0, 1, 2])
 
 
 @pytest.mark.slow
 def test_no_symmetry_of_an_asymmetric_object_nor_of_few_views(mesh, box):
-    assert len(symmetries(pair_and_goal(mesh, 6)[1])) == 0
+    assert not symmetries(pair_and_goal(mesh, 6)[1])
     few = Goal(box[1].image, box[1].views[:2])
     assert shows_all_sides(box[1])
     assert not shows_all_sides(few)
-    assert len(symmetries(few)) == 0
+    assert not symmetries(few)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("body", "swaps"), [("cylinder", 1), ("cone", 0)])
+def test_a_solid_of_revolution_has_an_axis_and_the_error_none_about_it(body, swaps):
+    mesh = {
+        "cylinder": lambda: trimesh.creation.cylinder(0.4, 1.4, sections=64),
+        "cone": lambda: trimesh.creation.cone(0.5, 1.2, sections=64),
+    }[body]()
+    pair, goal = pair_and_goal(mesh, 6, angle_deg=120)
+    group = symmetries(goal)
+    axis = (pair.R_goal_current @ pair.R_camera_object)[:, 2]
+    assert np.degrees(np.arccos(min(abs(group.axis @ axis), 1))) < 2
+    assert len(group.separate) == swaps
+    assert len(group.rotations) == 18 * (1 + swaps) - 1
+    estimate = load_estimator("default").estimate(pair.current, goal, pair.pivot_m)
+    error_deg = np.degrees(group.apart_rad(estimate.R_goal_current[None], pair.R_goal_current))
+    assert error_deg < 2
+    assert np.degrees(abs(so3.twist_angle(estimate.R_goal_current, group.axis))) < 1  # the smallest of the rotations
+    assert estimate.confidence > 0.7
+    assert estimate.candidates[0].probability == estimate.confidence  # the same rotations share nothing
+    np.testing.assert_allclose(estimate.free_axis, group.axis, atol=1e-3)
+    assert estimate.free_axis @ estimate.covariance_rad2 @ estimate.free_axis < 1e-12
+    assert np.trace(estimate.covariance_rad2) > 0
 
 
 @pytest.mark.slow
 def test_the_smallest_equivalent_is_the_answer_without_doubt(box):
     pair, goal = box
     estimate = load_estimator("fast").estimate(pair.current, goal, pair.pivot_m)
-    same = np.stack([pair.R_goal_current, *(S @ pair.R_goal_current for S in symmetries(goal).R)])
+    same = np.stack([pair.R_goal_current, *(S @ pair.R_goal_current for S in symmetries(goal).rotations)])
     smallest = same[np.argmin(so3.angle(same))]
     assert np.degrees(so3.angle_difference(estimate.R_goal_current, smallest)) < 3
     for R, _ in estimate.alternatives:

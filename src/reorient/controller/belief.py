@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from reorient import so3
+from reorient.controller.agreed_symmetry import AgreedSymmetry
 from reorient.controller.arrival import Observation, PreparedGoal, PreparedImage
 from reorient.controller.base import Step
 from reorient.controller.hypotheses import (
@@ -90,7 +91,9 @@ class Belief:
         """The belief with one more observation at the present viewpoint, whose tests are made anew."""
         *before, now = self.viewpoints or (Viewpoint((), np.eye(3)),)
         observations = (*now.observations, observation)
-        away_rad = [nearest(x.estimate, np.eye(3))[1] for x in observations]
+        estimates = [x.estimate for viewpoint in before for x in viewpoint.observations]
+        symmetry = AgreedSymmetry.of([*estimates, *(x.estimate for x in observations)])
+        away_rad = [nearest(x.estimate, np.eye(3), symmetry)[1] for x in observations]
         arrival, flips = None, now.flips
         if len(observations) >= 2 and float(np.median(away_rad)) <= self.settings.near_rad:
             arrival = self.settings.arrival_test(observations, self.goal)
@@ -121,8 +124,7 @@ class Belief:
 
     def R_goal_now(self, hypothesis: Hypothesis) -> Float[np.ndarray, "3 3"]:
         """The remaining rotation to a hypothesis, from the present viewpoint."""
-        R: Float[np.ndarray, "3 3"] = hypothesis.R_goal_start @ self.viewpoint_now.R_then_start.T
-        return R
+        return hypothesis.R_goal_then(self.viewpoint_now.R_then_start)
 
     def times_hidden(self, R_step: Float[np.ndarray, "3 3"]) -> int:
         """How often a move from the present viewpoint to where this one leads was undone."""
@@ -141,13 +143,15 @@ class Belief:
     def _near(self, hypothesis: Hypothesis) -> list[tuple[Observation, Float[np.ndarray, "3 3"], float]]:
         """The observations made within ``near_rad`` of a hypothesis that name it, the latest first, each with the
         remaining rotation now and the path since."""
-        s, found = self.settings, []
+        s, symmetry, found = self.settings, hypothesis.symmetry, []
+        now = self.viewpoint_now.R_then_start
         for viewpoint in reversed(self.viewpoints):
-            R_goal_then = hypothesis.R_goal_start @ viewpoint.R_then_start.T
+            R_goal_then = hypothesis.R_goal_then(viewpoint.R_then_start)
             for observation in reversed(viewpoint.observations):
-                answer, away_rad = nearest(observation.estimate, R_goal_then)
+                answer, away_rad = nearest(observation.estimate, R_goal_then, symmetry)
                 if float(so3.angle(answer)) <= s.near_rad and away_rad <= s.same_rad:
-                    R_goal_now = answer @ viewpoint.R_then_start @ self.viewpoint_now.R_then_start.T
+                    R_goal_start = (answer @ viewpoint.R_then_start)[None]
+                    R_goal_now = symmetry.nearest(R_goal_start, hypothesis.R_goal_then(now) @ now)[0] @ now.T
                     found.append((observation, R_goal_now, self.viewpoint_now.path_rad - viewpoint.path_rad))
         return found
 

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from reorient import so3
+from reorient.controller.agreed_symmetry import AgreedSymmetry
 from reorient.controller.arrival import Arrival, ArrivalTest, Observation, PoseSettings, PreparedImage
 from reorient.controller.symmetry import Flip, SymmetryTest
 from reorient.estimators.base import RotationEstimate
@@ -68,9 +69,10 @@ class Viewpoint:
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """One orientation that the goal may have."""
+    """One orientation that the goal may have, and those that are the same to the object."""
 
     R_goal_start: Float[np.ndarray, "3 3"]
+    """Of these, the one nearest the start."""
     probabilities: Mapping[int, Sequence[float]] = field(default_factory=dict)
     """By viewpoint (its index), the probability by each estimate that names it."""
     flip_loss: float = float("inf")
@@ -83,6 +85,12 @@ class Hypothesis:
     """Sum over distinct views of the mean log-probability that their estimates give it; unbounded, unnormalised."""
     log_odds: float = 0.0
     """Log-odds in all."""
+    symmetry: AgreedSymmetry = field(default_factory=AgreedSymmetry)
+
+    def R_goal_then(self, R_then_start: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
+        """The remaining rotation from a viewpoint, the smallest of those that are the same."""
+        R: Float[np.ndarray, "3 3"] = self.symmetry.nearest(self.R_goal_start[None], R_then_start)[0] @ R_then_start.T
+        return R
 
     @property
     def tested(self) -> bool:
@@ -112,17 +120,12 @@ def answers(estimate: RotationEstimate) -> list[tuple[Float[np.ndarray, "3 3"], 
     return [(estimate.R_goal_current, min(first, max(1 - rest, LEAST_PROBABILITY))), *estimate.alternatives]
 
 
-def same_to(estimate: RotationEstimate, R_goal_current: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "k 3 3"]:
-    """A rotation and those that are the same to the object, by the goal's symmetries."""
-    return np.stack([R_goal_current, *(S @ R_goal_current for S in estimate.symmetries)])
-
-
-def nearest(estimate: RotationEstimate, R: Float[np.ndarray, "3 3"]) -> tuple[Float[np.ndarray, "3 3"], float]:
+def nearest(
+    estimate: RotationEstimate, R: Float[np.ndarray, "3 3"], symmetry: AgreedSymmetry
+) -> tuple[Float[np.ndarray, "3 3"], float]:
     """Of the rotations that an estimate names, and those that are the same to the object, the one nearest to R, and
     their difference in radians."""
-    named = np.concatenate([same_to(estimate, answer) for answer, _ in answers(estimate)])
-    away = so3.angle_difference(named, R)
-    return named[np.argmin(away)], float(away.min())
+    return symmetry.nearest(np.stack([answer for answer, _ in answers(estimate)]), R)
 
 
 def _confidence_here(estimate: RotationEstimate, same_rad: float) -> float:
@@ -135,12 +138,12 @@ def _confidence_here(estimate: RotationEstimate, same_rad: float) -> float:
 
 def is_at(hypothesis: Hypothesis, viewpoint: Viewpoint, settings: BeliefSettings) -> bool:
     """Whether a viewpoint is at a hypothesis."""
-    return float(so3.angle(hypothesis.R_goal_start @ viewpoint.R_then_start.T)) <= settings.near_rad
+    return float(so3.angle(hypothesis.R_goal_then(viewpoint.R_then_start))) <= settings.near_rad
 
 
-def stays(viewpoint: Viewpoint, settings: BeliefSettings) -> bool:
+def stays(viewpoint: Viewpoint, symmetry: AgreedSymmetry, settings: BeliefSettings) -> bool:
     """Whether one of a viewpoint's estimates names a rotation that stays at it."""
-    return min(nearest(x.estimate, np.eye(3))[1] for x in viewpoint.observations) <= settings.near_rad
+    return min(nearest(x.estimate, np.eye(3), symmetry)[1] for x in viewpoint.observations) <= settings.near_rad
 
 
 def near_viewpoints(one: Viewpoint, other: Viewpoint, settings: BeliefSettings) -> bool:
@@ -161,15 +164,16 @@ def hypotheses_of(viewpoints: Sequence[Viewpoint], settings: BeliefSettings) -> 
 
 def _clusters(viewpoints: Sequence[Viewpoint], settings: BeliefSettings) -> list[Hypothesis]:
     """The hypotheses without their log-odds; the latest estimates first, which have drifted least."""
+    symmetry = AgreedSymmetry.of([x.estimate for viewpoint in viewpoints for x in viewpoint.observations])
     centres: list[Float[np.ndarray, "3 3"]] = []
     named: list[dict[int, list[float]]] = []
     losses: list[float] = []
 
-    def cluster(same: Float[np.ndarray, "k 3 3"]) -> int:
-        away_rad = [float(so3.angle_difference(centre, same).min()) for centre in centres]
+    def cluster(R_goal_start: Float[np.ndarray, "3 3"]) -> int:
+        away_rad = [symmetry.nearest(R_goal_start[None], centre)[1] for centre in centres]
         if away_rad and min(away_rad) <= settings.same_rad:
             return int(np.argmin(away_rad))
-        centres.append(same[0])
+        centres.append(symmetry.nearest(R_goal_start[None], np.eye(3))[0])
         named.append({})
         losses.append(float("inf"))
         return len(centres) - 1
@@ -177,14 +181,13 @@ def _clusters(viewpoints: Sequence[Viewpoint], settings: BeliefSettings) -> list
     for index in range(len(viewpoints) - 1, -1, -1):
         for observation in viewpoints[index].observations:
             for R, probability in answers(observation.estimate):
-                same = same_to(observation.estimate, R) @ viewpoints[index].R_then_start
-                named[cluster(same)].setdefault(index, []).append(probability)
+                k = cluster(R @ viewpoints[index].R_then_start)
+                named[k].setdefault(index, []).append(probability)
     for viewpoint in viewpoints:
         for flip in viewpoint.flips:
-            same = same_to(viewpoint.observations[-1].estimate, flip.R_goal_current)
-            k = cluster(same @ viewpoint.R_then_start)
+            k = cluster(flip.R_goal_current @ viewpoint.R_then_start)
             losses[k] = min(losses[k], flip.score_loss)
-    return [Hypothesis(*x) for x in zip(centres, named, losses, strict=True)]
+    return [Hypothesis(*x, symmetry=symmetry) for x in zip(centres, named, losses, strict=True)]
 
 
 def _views(viewpoints: Sequence[Viewpoint], settings: BeliefSettings) -> list[list[int]]:
@@ -232,16 +235,16 @@ def _weighed(
         visits=len(there),
         arrival_log_odds=max(tests, default=float("-inf")),
         view_log_probability=view_log_probability,
-        log_odds=by_estimates + _log_odds_at(there, settings),
+        log_odds=by_estimates + _log_odds_at(there, hypothesis.symmetry, settings),
     )
 
 
-def _log_odds_at(there: Sequence[Viewpoint], settings: BeliefSettings) -> float:
+def _log_odds_at(there: Sequence[Viewpoint], symmetry: AgreedSymmetry, settings: BeliefSettings) -> float:
     """What the viewpoints at a hypothesis add to its log-odds: the mean of those with an arrival test, as they err
     alike; a rejection where no estimate stays."""
     if tested := [x for x in there if x.arrival is not None]:
         return float(np.average([x.log_odds(settings) for x in tested], weights=[len(x.observations) for x in tested]))
-    return -settings.max_log_odds if any(not stays(x, settings) for x in there) else 0.0
+    return -settings.max_log_odds if any(not stays(x, symmetry, settings) for x in there) else 0.0
 
 
 def _compared(

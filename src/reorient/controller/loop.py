@@ -173,8 +173,8 @@ class _Loop:
 
     def check_motion(self) -> None:
         """Raise Ended where the images contradict the rotations that the station reported."""
-        image = self.steps[-1].image
-        self.motion = MotionRecord.start(image) if self.motion is None else self.motion.updated(self.steps[-2], image)
+        now = self.steps[-1]
+        self.motion = MotionRecord.start(now.image) if self.motion is None else self.motion.updated(self.steps[-2], now)
         if message := self.motion.contradiction:
             self.steps[-1] = replace(self.steps[-1], message=message)
             raise Ended("inconsistent_motion", message)

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from reorient import so3
+from reorient.controller.agreed_symmetry import AgreedSymmetry
 from reorient.controller.base import Step, degrees
 from reorient.imaging import DepthImage
 from reorient.registration import Hypotheses, Problem, build_problem, measure_evidence, refine
@@ -43,6 +44,10 @@ LEAST_SHARE = 0.5
 where the second image had 45% of its returns, and 5% of tuning pairs differ by so much without losses."""
 
 Verdict = Literal["confirmed", "undecided", "slip", "contradicted", "beyond slip"]
+
+
+AGAINST = ("contradicted", "beyond slip")
+"""Verdicts that two moves must not have."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +104,8 @@ class MotionTest:
     """Two angles that differ by this share, or 3 degrees, are the same."""
     same_axis_rad: float = float(np.radians(12))
     """Two axes that differ by this are the same."""
+    agree_from: float = 0.5
+    """Confidence of estimates that can agree with a report."""
 
     def __call__(self, before: DepthImage, after: DepthImage, R_reported: Float[np.ndarray, "3 3"]) -> MeasuredMotion:
         """The comparison of one move."""
@@ -125,6 +132,18 @@ class MotionTest:
         return MeasuredMotion(
             R_reported, R_measured, "contradicted" if self._repeats(R_reported, R_measured) else "slip"
         )
+
+    def estimates_agree(self, last: Step, now: Step) -> bool:
+        """Whether the rotations to the goal that the estimates before and after a move name differ by the reported one.
+
+        A near symmetry may show the image before again where the object moved as reported: that contradicts nothing.
+        """
+        if last.R_executed is None or min(x.estimate.confidence or 0 for x in (last, now)) < self.agree_from:
+            return False
+        symmetry = AgreedSymmetry.of([last.estimate, now.estimate])
+        predicted = last.estimate.R_goal_current @ last.R_executed.T
+        away_rad = symmetry.nearest(now.estimate.R_goal_current[None], predicted)[1]
+        return away_rad <= min(self.near * float(so3.angle(last.R_executed)), self.confirmed_rad)
 
     def _aligned(self, problem: Problem, R_reported: Float[np.ndarray, "3 3"]) -> "_Aligned":
         """The reported rotation, aligned by translation alone, and then all others with the highest scores."""
@@ -229,22 +248,24 @@ class MotionRecord:
         """Of the first image."""
         return cls(image, np.eye(3))
 
-    def updated(self, last: Step, image: DepthImage) -> "MotionRecord":
-        """After the move of a step, and the image that followed."""
+    def updated(self, last: Step, now: Step) -> "MotionRecord":
+        """After the move of a step, and the observation that followed."""
         if last.motion_unknown:
-            return replace(self, before=image, R_now_before=np.eye(3))
+            return replace(self, before=now.image, R_now_before=np.eye(3))
         R = self.R_now_before if last.R_executed is None else last.R_executed @ self.R_now_before
         if float(so3.angle(R)) < self.test.least_rad:
             return replace(self, R_now_before=R)
-        measured = self.test(self.before, image, R)
+        measured = self.test(self.before, now.image, R)
         unconfirmed = () if measured.verdict == "confirmed" else (*self.unconfirmed, measured)
-        return replace(self, before=image, R_now_before=np.eye(3), unconfirmed=unconfirmed)
+        if measured.verdict in AGAINST and self.test.estimates_agree(last, now):
+            unconfirmed = self.unconfirmed
+        return replace(self, before=now.image, R_now_before=np.eye(3), unconfirmed=unconfirmed)
 
     @property
     def contradiction(self) -> str:
         """The message where the images contradict the reports; empty where they do not, or not yet."""
         beyond = [x for x in self.unconfirmed if x.verdict == "beyond slip"]
-        against = [x for x in self.unconfirmed if x.verdict in ("beyond slip", "contradicted")]
+        against = [x for x in self.unconfirmed if x.verdict in AGAINST]
         if len(self.unconfirmed) < 2 or not (beyond or len(against) >= 2):
             return ""
         last = (beyond or against)[-1]

@@ -137,7 +137,8 @@ class Situation:
     @cached_property
     def hypothesis_here(self) -> Hypothesis | None:
         """The hypothesis of the present pose, if an estimate stays at it."""
-        if not self.hypotheses or not stays(self.belief.viewpoint_now, self.belief.settings):
+        belief, found = self.belief, self.hypotheses
+        if not found or not stays(belief.viewpoint_now, found[0].symmetry, belief.settings):
             return None
         return min(self.hypotheses, key=self.angle_rad)
 

@@ -52,7 +52,8 @@ class RotationEstimate:
     then the smallest of these rotations. None if there is none."""
     symmetries: tuple[Float[np.ndarray, "3 3"], ...] = ()
     """Rotations S, the goal's camera axes, such that S R_goal_current is the same to the object, by the symmetry that a
-    goal of views from all sides shows; the answer is the smallest of these rotations. Empty without such a goal."""
+    goal of views from all sides shows; the answer is the smallest of these rotations. Those about ``free_axis`` are in
+    steps of 20 degrees. Empty without such a goal."""
     motion_covariance: Float[np.ndarray, "6 6"] | None = None
     """Covariance of the rotation vector d (rad) and the shift u (m) in p_true = exp(d) p_goal + u, camera axes, for
     points p_goal of the answer, if it is near the truth; None if unknown. Its first block is ``covariance_rad2``."""

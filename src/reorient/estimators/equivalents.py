@@ -53,7 +53,7 @@ def smallest_equivalent(
     """
     axis = free_axis(problem, answer)
     if axis is not None:
-        others = others.and_also(_rotated(problem, answer, axis, np.array([_least_twist(answer.R[0], axis)])))
+        others = others.and_also(_rotated(problem, answer, axis, np.array([-so3.twist_angle(answer.R[0], axis)])))
     smaller = others[so3.angle(others.R) < so3.angle(answer.R[0]) - np.radians(SETTINGS.gain_deg)]
     if len(smaller):
         refined, fits = _fitting(problem, answer, smaller, SETTINGS.choice_loss)
@@ -110,9 +110,3 @@ def _rotated(problem: Problem, answer: Hypotheses, axis: np.ndarray, angles_rad:
     k = len(angles_rad)
     repeated = answer[np.zeros(k, int)]
     return repeated.perturbed(problem.prior.goal_m, so3.exp(angles_rad[:, None] * axis), np.zeros((k, 3)))
-
-
-def _least_twist(R: Float[np.ndarray, "3 3"], axis: Float[np.ndarray, "3"]) -> float:
-    """The angle of the rotation about an axis that, after R, leaves the smallest rotation."""
-    w, *v = so3.quat_from_matrix(R)
-    return -2 * float(np.arctan2(np.dot(axis, v), w))

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from reorient import so3
 from reorient.estimators.equivalents import free_axis
+from reorient.estimators.goal_symmetry import symmetries
 from reorient.formatting import format_share
 from reorient.imaging import Goal
 from reorient.imaging.summary import Summary
@@ -83,12 +84,13 @@ def report_on(goal: Goal) -> GoalReport:
     posed = posed_views(goal)
     problem = Problem.of(posed, posed, None)
     none = Hypotheses(np.eye(3)[None], np.zeros((1, 3)))
-    axis = free_axis(problem, none)
+    axis = free_axis(problem, none) if symmetries(goal).axis is None else symmetries(goal).axis
     flips: list[Flip] = []
     for flip in sorted(_flips(problem, axis), key=lambda flip: -flip.inlier_ratio):
-        if all(
-            _apart_rad(flip.R @ other.R.T, axis if axis is None else other.R @ axis) > DISTINCT_RAD for other in flips
-        ):
+        apart_rad = [
+            so3.angle_but_about(flip.R @ other.R.T, axis if axis is None else other.R @ axis) for other in flips
+        ]
+        if all(x > DISTINCT_RAD for x in apart_rad):
             flips.append(flip)
     return GoalReport(1 + len(goal.views), Summary.of(goal.image), coverage(goal), tuple(flips), axis)
 
@@ -101,15 +103,10 @@ def _flips(problem: Problem, axis: np.ndarray | None) -> Iterator[Flip]:
     score = problem.image_score(found, TOLERANCE, POINTS)
     found = found[so3.non_maximum_suppression(found.R, score, DISTINCT_RAD)]
     for R, t_m in zip(found.R, found.t_m, strict=True):
-        if _apart_rad(R, axis) > DISTINCT_RAD:
+        if so3.angle_but_about(R, axis) > DISTINCT_RAD:
             evidence = _evidence(problem, Hypotheses(R[None], t_m[None]))
             if evidence.covisible_inlier_ratio >= ALIKE and evidence.inlier_ratio >= OVERLAP:
                 yield Flip(R, evidence.covisible_inlier_ratio)
-
-
-def _apart_rad(R: Float[np.ndarray, "3 3"], axis: np.ndarray | None) -> float:
-    """Angle of a rotation; with a free axis, the angle by which it tilts that axis."""
-    return float(so3.angle(R) if axis is None else np.arccos(np.clip(axis @ R @ axis, -1, 1)))
 
 
 def _evidence(problem: Problem, hypothesis: Hypotheses) -> Evidence:

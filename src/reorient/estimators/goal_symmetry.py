@@ -5,10 +5,12 @@ searched against themselves. What a current image then leaves open by symmetry i
 A difference on one side of six hardly counts there, so each current image is asked, too (``supported``).
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
+from jaxtyping import Float
 
 from reorient import so3
 from reorient.estimators.search import EFFORTS, search_once
@@ -25,8 +27,6 @@ from reorient.registration import (
     refine,
     warp_both,
 )
-
-NONE = Hypotheses(np.empty((0, 3, 3)), np.empty((0, 3)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,17 +45,72 @@ class Settings:
     """Least probability, relative to the answer's, of equivalents that the images support. 34 motions under which goals
     of tuning and generated objects fit: of the 10 that are symmetries of the mesh 6 have more, of the others 3. Chosen
     after a look at 10 such motions of the reporting half."""
+    probes: int = 8
+    """Rotations about an axis, evenly spaced, that all fit a solid of revolution."""
+    revolution_loss: float = 0.1
+    """Co-visible inlier ratio that these may lose against no rotation."""
+    step_rad: float = float(np.radians(20))
+    """Between the rotations about its axis that the estimate lists."""
 
 
 SETTINGS = Settings()
 
 
-def symmetries(goal: DepthImage | Goal) -> Hypotheses:
-    """The motions S (goal's camera axes) that leave the goal as it is, so that R and S R are the same; without the
-    identity.
+@dataclass(frozen=True, eq=False)
+class Symmetry:
+    """The motions S (goal's camera axes) that leave the object as it is, so that R and S R are the same."""
 
-    None of a goal that does not show all sides. Of a solid of revolution some of them. ``goal``: aligned; the answer is
-    computed once.
+    separate: Hypotheses = field(default_factory=lambda: Hypotheses(np.empty((0, 3, 3)), np.empty((0, 3))))
+    """Without the identity. Of a solid of revolution those that swap its ends, for one rotation about the axis each."""
+    axis: Float[np.ndarray, "3"] | None = None
+    """Of a solid of revolution: unit vector; every rotation about it is one of the motions."""
+    point_m: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
+    """A point of the axis."""
+
+    def __bool__(self) -> bool:
+        return len(self.separate) > 0 or self.axis is not None
+
+    @property
+    def rotations(self) -> Float[np.ndarray, "k 3 3"]:
+        """Of the motions, without the identity; about an axis in steps of ``step_rad``."""
+        if self.axis is None:
+            return self.separate.R
+        about = so3.exp(np.arange(0, 2 * np.pi - SETTINGS.step_rad / 2, SETTINGS.step_rad)[:, None] * self.axis)
+        return np.concatenate([about[1:], *(about @ S for S in self.separate.R)])
+
+    def about(self, motions: Hypotheses, angles_rad: Float[np.ndarray, " k"]) -> Hypotheses:
+        """Motions rotated further about the axis, each by its angle."""
+        assert self.axis is not None
+        return motions.perturbed(self.point_m, so3.exp(angles_rad[:, None] * self.axis), np.zeros((len(angles_rad), 3)))
+
+    def smallest(self, answer: Hypotheses) -> Hypotheses:
+        """Of a motion and all that are the same, the one with the smallest rotation."""
+        same = answer.and_also(self.separate.after(answer.R[0], answer.t_m[0]))
+        if self.axis is not None:
+            same = self.about(same, np.array([-so3.twist_angle(R, self.axis) for R in same.R]))
+        return same[np.array([np.argmin(so3.angle(same.R))])]
+
+    def apart_rad(self, R: Float[np.ndarray, "k 3 3"], R_answer: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, " k"]:
+        """The least angle of each of k rotations to those that are the same as an answer."""
+        same = np.stack([R_answer, *(S @ R_answer for S in self.separate.R)])
+        return np.asarray(so3.angle_but_about(R[:, None] @ np.swapaxes(same, 1, 2), self.axis).min(axis=1))
+
+    def without_freedom(self, covariance: Float[np.ndarray, "6 6"]) -> Float[np.ndarray, "6 6"]:
+        """The covariance of a motion (``RotationEstimate.motion_covariance``) but for rotations about the axis."""
+        if self.axis is None:
+            return covariance
+        freedom = np.concatenate([self.axis, np.cross(self.point_m, self.axis)])
+        projection = np.eye(6) - np.outer(freedom, np.concatenate([self.axis, np.zeros(3)]))
+        return np.asarray(projection @ covariance @ projection.T)
+
+
+NONE = Symmetry()
+
+
+def symmetries(goal: DepthImage | Goal) -> Symmetry:
+    """The symmetry of a goal: none of one that does not show all sides.
+
+    ``goal``: aligned; the answer is computed once.
     """
     if isinstance(goal, DepthImage) or not shows_all_sides(goal):
         return NONE
@@ -70,16 +125,45 @@ def shows_all_sides(goal: Goal) -> bool:
 
 
 @lru_cache(maxsize=8)
-def _symmetries(goal: Goal) -> Hypotheses:
+def _symmetries(goal: Goal) -> Symmetry:
     views = posed_views(goal)
     problem = Problem.of(views, views, None)
     found = search_once(problem, EFFORTS["fast"])
     found = found[so3.angle(found.R) > SETTINGS.distinct_rad]
     still = Hypotheses(np.eye(3)[None], np.zeros((1, 3)))
-    least = _fit(problem, still, with_itself=False) - SETTINGS.loss
+    as_it_is = _fit(problem, still, with_itself=False)
     fits = np.array([_fit(problem, found[np.array([k])]) for k in range(len(found))])
-    kept = np.nonzero(fits >= least)[0]
-    return found[kept[non_maximum_suppression(found.R[kept], fits[kept], SETTINGS.distinct_rad)]]
+    fit = fits >= as_it_is - SETTINGS.loss
+    found, fits = found[fit], fits[fit]
+    found = found[non_maximum_suppression(found.R, fits, SETTINGS.distinct_rad)]
+    revolution = next(_revolutions(problem, found, as_it_is - SETTINGS.revolution_loss), None)
+    if revolution is None:
+        return Symmetry(found)
+    swaps = found[np.nonzero(found.R @ revolution.axis @ revolution.axis < -np.cos(SETTINGS.distinct_rad))[0]]
+    return replace(revolution, separate=swaps[:1])
+
+
+def _revolutions(problem: Problem, found: Hypotheses, least: float) -> Iterator[Symmetry]:
+    """The solids of revolution, about the axes of motions that fit, of which all rotations about the axis fit."""
+    step_rad = 2 * np.pi / (SETTINGS.probes + 1)
+    angles_rad = step_rad * np.arange(1, SETTINGS.probes + 1)
+    still = Hypotheses(np.eye(3)[None], np.zeros((1, 3)))[np.zeros(SETTINGS.probes, int)]
+    for k in range(len(found)):
+        axis = so3.log(found.R[k]) / so3.angle(found.R[k])
+        axis = axis * (1 if axis[np.argmax(np.abs(axis))] > 0 else -1)
+        start = Symmetry(axis=axis, point_m=_point_of_axes(found[np.array([k])])).about(still, angles_rad)
+        probes = refine(problem, start, EFFORTS["normal"].stages[-1].tolerances, SETTINGS.points)
+        stay = so3.angle_difference(probes.R, start.R) < step_rad / 2
+        if stay.all() and all(_fit(problem, probes[np.array([k])]) >= least for k in range(len(probes))):
+            axis = np.linalg.eigh(np.sum(probes.R + np.swapaxes(probes.R, 1, 2), axis=0))[1][:, 2]
+            yield Symmetry(axis=axis, point_m=_point_of_axes(probes))
+
+
+def _point_of_axes(motions: Hypotheses) -> Float[np.ndarray, "3"]:
+    """The point that motions about one axis move least."""
+    fixed = np.eye(3) - motions.R
+    point_m: Float[np.ndarray, 3] = np.linalg.lstsq(fixed.reshape(-1, 3), motions.t_m.reshape(-1), rcond=1e-3)[0]
+    return point_m
 
 
 def _fit(problem: Problem, motion: Hypotheses, with_itself: bool = True) -> float:
@@ -92,19 +176,23 @@ def _fit(problem: Problem, motion: Hypotheses, with_itself: bool = True) -> floa
     return evidence_of(warped, INLIER_TOLERANCE * problem.diameter_m).covisible_inlier_ratio
 
 
-def supported(problem: Problem, answer: Hypotheses, group: Hypotheses) -> Hypotheses:
-    """The motions of a group after which the images of a problem are about as likely as by the answer."""
-    if len(group) == 0:
-        return group
-    stages = EFFORTS["normal"].stages[-2:]
-    all_of_them = answer.and_also(group.after(answer.R[0], answer.t_m[0]))
-    for stage in stages:
-        all_of_them = refine(problem, all_of_them, stage.tolerances, stage.points)
-    _, probability = assess(problem, all_of_them, "normal")
-    return group[probability[1:] >= SETTINGS.as_likely * probability[0]]
+def supported(problem: Problem, answer: Hypotheses, symmetry: Symmetry) -> Symmetry:
+    """What of a symmetry the images of a problem support: after a separate motion they are about as likely as by the
+    answer; after rotations about the axis they fit about as well."""
+    separate, axis = symmetry.separate, symmetry.axis
+    if len(separate):
+        same = _refined(problem, answer.and_also(separate.after(answer.R[0], answer.t_m[0])))
+        _, probability = assess(problem, same, "normal")
+        separate = separate[probability[1:] >= SETTINGS.as_likely * probability[0]]
+    if axis is not None:
+        angles_rad = np.pi / 3 * np.arange(6)
+        about = _refined(problem, symmetry.about(answer[np.zeros(len(angles_rad), int)], angles_rad))
+        fits = [_fit(problem, about[np.array([k])]) for k in range(len(about))]
+        axis = axis if np.median(fits[1:]) >= fits[0] - SETTINGS.revolution_loss else None
+    return replace(symmetry, separate=separate, axis=axis)
 
 
-def equivalents(answer: Hypotheses, group: Hypotheses) -> Hypotheses:
-    """A motion and all that a symmetry makes of it, the smallest rotation first."""
-    all_of_them = answer.and_also(group.after(answer.R[0], answer.t_m[0]))
-    return all_of_them[np.argsort(so3.angle(all_of_them.R), kind="stable")]
+def _refined(problem: Problem, motions: Hypotheses) -> Hypotheses:
+    for stage in EFFORTS["normal"].stages[-2:]:
+        motions = refine(problem, motions, stage.tolerances, stage.points)
+    return motions

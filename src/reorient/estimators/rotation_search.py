@@ -12,12 +12,11 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from reorient import so3
 from reorient.errors import ReorientError, unknown_name
 from reorient.estimators.base import History, RotationEstimate, check_pair, checked_history
 from reorient.estimators.confidence_sets import candidate_sets
 from reorient.estimators.equivalents import smallest_equivalent
-from reorient.estimators.goal_symmetry import NONE, equivalents, supported, symmetries
+from reorient.estimators.goal_symmetry import NONE, Symmetry, supported, symmetries
 from reorient.estimators.polish import expected_covariance, polish, uncertainty
 from reorient.estimators.search import EFFORTS, Found, search
 from reorient.estimators.static_part import find_static_part
@@ -29,7 +28,6 @@ from reorient.registration import (
     EVIDENCE_POINTS,
     INLIER_TOLERANCE,
     DepthView,
-    Hypotheses,
     Problem,
     aligned_goal,
     build_problem,
@@ -183,25 +181,27 @@ def verify(problem: Problem, found: Found, effort: str) -> Verified:
     return Verified(problem, found, *assess(problem, found.hypotheses, effort))
 
 
-def polished(verified: Verified, group: Hypotheses = NONE) -> RotationEstimate:
-    """The most likely hypothesis, polished, and the alternatives to it. ``group``: the symmetries of the goal."""
+def polished(verified: Verified, symmetry: Symmetry = NONE) -> RotationEstimate:
+    """The most likely hypothesis, polished, and the alternatives to it. ``symmetry``: of the goal."""
     hypotheses, probability, best = verified.found.hypotheses, verified.probability, verified.best
     possible = np.nonzero((probability > POSSIBLE) | (probability >= probability[best]))[0]
     # the best first
     distinct = possible[non_maximum_suppression(hypotheses.R[possible], verified.log_odds[possible], DISTINCT_RAD)]
-    share = probability / max(float(probability[distinct].sum()), 1.0)  # normalised only if they sum to more than 1
     problem = verified.problem if verified.found.silhouettes[best] else verified.problem.without_silhouettes
     equivalent = distinct[1:][probability[distinct[1:]] >= SURE]  # a flip that only fits alike may be no symmetry
     chosen, axis = smallest_equivalent(problem, hypotheses[np.array([best])], hypotheses[equivalent])
-    group = supported(verified.problem, chosen, group)
-    same = equivalents(chosen, group)
-    chosen = same[:1]
-    away_rad = so3.angle_difference(hypotheses.R[distinct][:, None], same.R).min(axis=1)
-    others = distinct[away_rad > DISTINCT_RAD]
+    symmetry = supported(verified.problem, chosen, symmetry)
+    chosen = symmetry.smallest(chosen)
+    others = distinct[symmetry.apart_rad(hypotheses.R[distinct], chosen.R[0]) > DISTINCT_RAD]
+    if symmetry:  # what is the same counts once
+        distinct = np.union1d([best], others)
+    share = probability / max(float(probability[distinct].sum()), 1.0)  # normalised only if they sum to more than 1
     near, also = (x.nearest_views(chosen.R[0]) for x in (problem, verified.problem))
     answer = polish(near, chosen, *([] if verified.found.silhouettes[best] else [also]))
     covariance, converged = uncertainty(near, answer)
-    motion = answer.hypothesis.R[0], answer.hypothesis.t_m[0]
+    covariance = symmetry.without_freedom(covariance)
+    hypothesis = answer.hypothesis if symmetry.axis is None else symmetry.smallest(answer.hypothesis)
+    motion = hypothesis.R[0], hypothesis.t_m[0]
     evidence = verified.problem.evidence(*motion, INLIER_TOLERANCE * problem.diameter_m, EVIDENCE_POINTS)
     unsupported = not evidence.covisible_inlier_ratio >= LEAST_COVISIBLE  # also if it is NaN
     confidence = min(verified.confidence, UNSUPPORTED) if unsupported else verified.confidence
@@ -216,8 +216,8 @@ def polished(verified: Verified, group: Hypotheses = NONE) -> RotationEstimate:
         ),
         covariance_rad2=covariance[:3, :3],
         motion_covariance=covariance,
-        free_axis=axis,
-        symmetries=tuple(group.R),
+        free_axis=axis if symmetry.axis is None else symmetry.axis,
+        symmetries=tuple(symmetry.rotations),
         warnings=verified.warnings,
         candidates=candidates,
         guaranteed=guaranteed,

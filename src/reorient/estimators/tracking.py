@@ -100,7 +100,8 @@ def track(current: DepthImage, goal: DepthImage | Goal, previous: RotationEstima
     t_m = R_view_goal @ (previous.t_goal_current_m - target.t_first_view_m)
     found = fit(problem, Hypotheses((R_view_goal @ R)[None], t_m[None]))
     if previous.free_axis is not None:
-        untwist = R_view_goal @ twist(target.R_first_view @ found.R[0], previous.free_axis).T @ target.R_first_view
+        angle_rad = so3.twist_angle(target.R_first_view @ found.R[0], previous.free_axis)
+        untwist = so3.exp(-angle_rad * (R_view_goal @ previous.free_axis))
         found = found.perturbed(problem.prior.goal_m, untwist[None], np.zeros((1, 3)))
     tracked = with_evidence(
         problem.current, problem.goal, found.R[0], found.t_m[0], confidence=confidence(problem, found)
@@ -126,13 +127,6 @@ def fit(problem: Problem, start: Hypotheses) -> Hypotheses:
     noise = float(np.nan_to_num(inliers.residual_m)) / problem.diameter_m
     tolerances = [max(x, s.noise_factor * noise) for x in s.fine]
     return refine(problem.without_silhouettes, best, tolerances, s.fine_points)
-
-
-def twist(R: Float[np.ndarray, "3 3"], axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """The rotation about a unit axis whose inverse, applied after R, leaves the smallest angle."""
-    w, *v = so3.quat_from_matrix(R)
-    along = np.array([w, *(np.dot(v, axis) * axis)])
-    return np.eye(3) if not along.any() else so3.matrix_from_quat(so3.normalize(along))
 
 
 def confidence(problem: Problem, hypothesis: Hypotheses) -> float:
