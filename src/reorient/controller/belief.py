@@ -142,16 +142,19 @@ class Belief:
 
     def _near(self, hypothesis: Hypothesis) -> list[tuple[Observation, Float[np.ndarray, "3 3"], float]]:
         """The observations made within ``near_rad`` of a hypothesis that name it, the latest first, each with the
-        remaining rotation now and the path since."""
+        remaining rotation now and the path since. None of a pose that is only the same as the present one by symmetry,
+        as a symmetry is known less well than a pose."""
         s, symmetry, found = self.settings, hypothesis.symmetry, []
         now = self.viewpoint_now.R_then_start
+        R_goal_start = hypothesis.R_goal_then(now) @ now
         for viewpoint in reversed(self.viewpoints):
             R_goal_then = hypothesis.R_goal_then(viewpoint.R_then_start)
             for observation in reversed(viewpoint.observations):
                 answer, away_rad = nearest(observation.estimate, R_goal_then, symmetry)
-                if float(so3.angle(answer)) <= s.near_rad and away_rad <= s.same_rad:
-                    R_goal_start = (answer @ viewpoint.R_then_start)[None]
-                    R_goal_now = symmetry.nearest(R_goal_start, hypothesis.R_goal_then(now) @ now)[0] @ now.T
+                R = answer @ viewpoint.R_then_start
+                here = float(so3.angle_difference(R, R_goal_start)) <= s.same_rad
+                if here and float(so3.angle(answer)) <= s.near_rad and away_rad <= s.same_rad:
+                    R_goal_now = symmetry.nearest(R[None], R_goal_start)[0] @ now.T
                     found.append((observation, R_goal_now, self.viewpoint_now.path_rad - viewpoint.path_rad))
         return found
 

@@ -41,6 +41,9 @@ class Settings:
     """Co-visible inlier ratio between the views that a symmetry may lose against no rotation."""
     distinct_rad: float = float(np.radians(12))
     """Smaller rotations, and differences between symmetries, are none."""
+    least_rad: float = float(np.radians(35))
+    """Smaller rotations are symmetries of solids of revolution alone: those of others are at least 36 degrees, or of
+    more than ten equal parts."""
     as_likely: float = 0.2
     """Least probability, relative to the answer's, of equivalents that the images support. 34 motions under which goals
     of tuning and generated objects fit: of the 10 that are symmetries of the mesh 6 have more, of the others 3. Chosen
@@ -95,13 +98,13 @@ class Symmetry:
         same = np.stack([R_answer, *(S @ R_answer for S in self.separate.R)])
         return np.asarray(so3.angle_but_about(R[:, None] @ np.swapaxes(same, 1, 2), self.axis).min(axis=1))
 
-    def without_freedom(self, covariance: Float[np.ndarray, "6 6"]) -> Float[np.ndarray, "6 6"]:
-        """The covariance of a motion (``RotationEstimate.motion_covariance``) but for rotations about the axis."""
+    def projection(self, about_m: Float[np.ndarray, "3"], unit_m: float) -> Float[np.ndarray, "6 6"]:
+        """Takes rotations about the axis out of a small motion: a rotation vector about a point and a shift, in units
+        of ``unit_m``."""
         if self.axis is None:
-            return covariance
-        freedom = np.concatenate([self.axis, np.cross(self.point_m, self.axis)])
-        projection = np.eye(6) - np.outer(freedom, np.concatenate([self.axis, np.zeros(3)]))
-        return np.asarray(projection @ covariance @ projection.T)
+            return np.eye(6)
+        freedom = np.concatenate([self.axis, np.cross(self.point_m - about_m, self.axis) / unit_m])
+        return np.asarray(np.eye(6) - np.outer(freedom, np.concatenate([self.axis, np.zeros(3)])))
 
 
 NONE = Symmetry()
@@ -138,7 +141,7 @@ def _symmetries(goal: Goal) -> Symmetry:
     found = found[non_maximum_suppression(found.R, fits, SETTINGS.distinct_rad)]
     revolution = next(_revolutions(problem, found, as_it_is - SETTINGS.revolution_loss), None)
     if revolution is None:
-        return Symmetry(found)
+        return Symmetry(found[so3.angle(found.R) > SETTINGS.least_rad])
     swaps = found[np.nonzero(found.R @ revolution.axis @ revolution.axis < -np.cos(SETTINGS.distinct_rad))[0]]
     return replace(revolution, separate=swaps[:1])
 

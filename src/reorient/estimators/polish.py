@@ -11,6 +11,7 @@ from reorient import se3, so3
 from reorient.estimators.calibration import load_calibration
 from reorient.registration import EVIDENCE_POINTS, DepthView, Hypotheses, PosedView, Problem, normal_equations, refine
 
+WHOLE = np.eye(6)
 FEWEST_POINTS = 11  # of a cloud at its resolution; small_gicp warns of fewer; not tuned
 
 
@@ -104,7 +105,9 @@ def register(problem: Problem, answer: Hypotheses, voxel: float) -> Polished | N
     return Polished(Hypotheses(R[None], T[None, :3, 3]), int(result.iterations))
 
 
-def uncertainty(problem: Problem, answer: Polished) -> tuple[Float[np.ndarray, "6 6"], bool]:
+def uncertainty(
+    problem: Problem, answer: Polished, projection: Float[np.ndarray, "6 6"] = WHOLE
+) -> tuple[Float[np.ndarray, "6 6"], bool]:
     """Covariance of a left perturbation, rotation vector (rad) and shift (m), if the answer is near the truth; and
     whether the answer has converged: one more Gauss-Newton step would rotate it by less than its standard error.
 
@@ -112,6 +115,7 @@ def uncertainty(problem: Problem, answer: Polished) -> tuple[Float[np.ndarray, "
     neighbouring pixels share, of edges and of occluders. Where these matter, Gauss-Newton steps and ICP end apart: the
     squares of their differences are added. Scale and floor of the sum were calibrated on generated objects with exact
     intrinsics (``reorient verifier calibrate``), so that 68 and 95% of the true rotations are within the ellipsoids.
+    ``projection``: of motions about the goal's centre, in half diameters, that takes out what is no error.
     """
     motion = answer.hypothesis
     residual = max(_residual(problem, motion), POLISH.least_noise)
@@ -121,8 +125,9 @@ def uncertainty(problem: Problem, answer: Polished) -> tuple[Float[np.ndarray, "
     noise2 = (problem.current.noise_m**2 + goal_noise2) / problem.diameter_m**2
     apart = _differences(problem, motion, motion if answer.tried is None else answer.tried)
     calibration = load_calibration()
-    covariance = calibration.scale * (inverse * noise2 / residual**2 + _spread(apart))
+    covariance = calibration.scale * (inverse * noise2 / residual**2 + _spread(apart @ projection.T))
     covariance += calibration.floor_rad**2 * np.eye(6)
+    covariance = projection @ covariance @ projection.T
     to_origin = np.eye(6)  # the steps rotate about the goal's centre, and shift relative to half the diameter
     to_origin[3:, 3:] *= problem.diameter_m / 2
     to_origin[3:, :3] = np.cross(problem.prior.goal_m, np.eye(3)).T

@@ -127,7 +127,10 @@ class RotationSearch:
         """Covariance (rad^2) of an estimate at the goal pose, by the goal's shape and the noise of the images."""
         check_pair(current, goal)
         with threads(self._threads):
-            return expected_covariance(DepthView(current), posed_views(aligned_goal(goal)[0]))
+            aligned, _ = aligned_goal(goal)
+            projection = symmetries(aligned).projection(np.zeros(3), 1.0)[:3, :3]
+            covariance = expected_covariance(DepthView(current), posed_views(aligned))
+            return np.asarray(projection @ covariance @ projection.T)
 
     def estimate_many(
         self,
@@ -198,8 +201,8 @@ def polished(verified: Verified, symmetry: Symmetry = NONE) -> RotationEstimate:
     share = probability / max(float(probability[distinct].sum()), 1.0)  # normalised only if they sum to more than 1
     near, also = (x.nearest_views(chosen.R[0]) for x in (problem, verified.problem))
     answer = polish(near, chosen, *([] if verified.found.silhouettes[best] else [also]))
-    covariance, converged = uncertainty(near, answer)
-    covariance = symmetry.without_freedom(covariance)
+    projection = symmetry.projection(near.prior.goal_m, near.diameter_m / 2)
+    covariance, converged = uncertainty(near, answer, projection)
     hypothesis = answer.hypothesis if symmetry.axis is None else symmetry.smallest(answer.hypothesis)
     motion = hypothesis.R[0], hypothesis.t_m[0]
     evidence = verified.problem.evidence(*motion, INLIER_TOLERANCE * problem.diameter_m, EVIDENCE_POINTS)
