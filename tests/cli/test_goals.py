@@ -8,7 +8,7 @@ import pytest
 from reorient import read_goal, se3, so3
 from reorient.cli import main
 from reorient.cli.stations import StationChoice
-from reorient.imaging.files import read_depth, write_camera, write_depth
+from reorient.imaging.files import read_depth, write_depth
 from reorient.imaging.goal_files import read_provenance
 from reorient.perception.transfer import read_tool_poses, write_tool_poses
 from reorient.world.objects import generated
@@ -93,14 +93,19 @@ def test_a_goal_from_a_mesh_has_camera_and_place_of_the_capture(folder, capsys):
         assert np.linalg.norm(view.R_goal_view @ place_m + view.t_goal_view_m - place_m) < 0.003
     assert read_provenance(out)["mesh"] == "part.stl"
     assert (folder / "cad.png").is_file()
-    write_camera(folder / "camera.json", now.camera)
+    c = now.camera
+    lens = {"width": c.width, "height": c.height, "fx": c.fx, "fy": c.fy, "ppx": c.cx - 0.5, "ppy": c.cy - 0.5}
+    lens |= {"model": "brown_conrady", "coeffs": [0.1, 0, 0, 0, 0]}  # estimate undoes it, so the goal has none
+    (folder / "camera.json").write_text(json.dumps(lens))
     R = so3.exp(np.radians([30.0, -20.0, 10.0]))
     code, *_ = ended(
         capsys, *("goal", "from-mesh", folder / "part.stl", "--unit", "mm", "--rotation", *R.ravel()),
         *("--camera", folder / "camera.json", "--center", 0, 0, 0.6, "--out", folder / "other.npz", "--views", 0),
     )  # fmt: skip
     assert code == 0
-    low, high = np.percentile(read_goal(folder / "other.npz").image.points(), (1, 99), axis=0)
+    other = read_goal(folder / "other.npz").image
+    assert other.camera == c
+    low, high = np.percentile(other.points(), (1, 99), axis=0)
     assert np.linalg.norm((low + high)[:2] / 2) < 0.01
 
 

@@ -1,5 +1,6 @@
 """Frames of a folder, as another program writes them."""
 
+import json
 import threading
 import time
 from collections.abc import Callable
@@ -10,7 +11,7 @@ from PIL import Image
 
 from reorient import Camera, DepthImage
 from reorient.errors import ReorientError, StationError
-from reorient.imaging.files import write_camera, write_depth
+from reorient.imaging.files import read_depth, write_camera, write_depth
 from reorient.stations.cameras.folder import FolderCamera
 
 CAMERA = Camera(8, 6, 10.0, 10.0, 4.0, 3.0)
@@ -50,6 +51,19 @@ def test_a_file_that_is_overwritten(tmp_path):
     image = camera.capture()
     assert middle(image) == pytest.approx(0.6)
     assert before_s <= image.stamp_s <= camera.clock_s()
+
+
+def test_lens_distortion_is_undone_as_by_read_depth(tmp_path):
+    """The robot's driver takes the same camera files as the command line."""
+    lens = {"width": 8, "height": 6, "fx": 10, "fy": 10, "ppx": 3.5, "ppy": 2.5, "coeffs": [2.0, 0, 0, 0, 0]}
+    (tmp_path / "camera.json").write_text(json.dumps(lens | {"model": "brown_conrady"}))
+    units = (600 + 10 * np.arange(48).reshape(6, 8)).astype(np.uint16)
+    camera = FolderCamera(frames=str(tmp_path / "*.png"), camera=str(tmp_path / "camera.json"))
+    later(lambda: Image.fromarray(units).save(tmp_path / "frame.png"))
+    image = camera.capture()
+    expected = read_depth(tmp_path / "frame.png", tmp_path / "camera.json")
+    np.testing.assert_array_equal(image.depth_m, expected.depth_m)
+    assert np.any(np.abs(image.depth_m - units / 1000) > 0.005)
 
 
 def test_raw_pictures_with_intrinsics_and_a_scale(tmp_path):

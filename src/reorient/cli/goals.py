@@ -99,15 +99,16 @@ class FromMesh:
         """Render, compare with the capture, write, print."""
         from reorient import se3
         from reorient.imaging import Goal
-        from reorient.imaging.files import read_camera, read_depth
+        from reorient.imaging.files import read_depth
         from reorient.imaging.goal_files import write_goal
+        from reorient.imaging.intrinsics import read_pinhole
         from reorient.imaging.summary import check_scale
         from reorient.world.meshes import load_mesh
 
         R, unit_m = self._rotation(), UNITS_M[self.unit]
         bounds_m = load_mesh(self.mesh).bounds * unit_m
         real = None if self.capture is None else read_depth(self.capture)
-        camera = read_camera(self.camera) if real is None else real.camera  # type: ignore[arg-type]
+        camera = read_pinhole(self.camera) if real is None else real.camera  # type: ignore[arg-type]
 
         def rendered(center_m: np.ndarray) -> Goal:
             T = se3.transform(R, center_m - R @ bounds_m.mean(axis=0))

@@ -33,7 +33,8 @@ def read_depth(path: str | Path, camera: CameraChoice = None, scale_m: float | N
 
     ``camera``: intrinsics or a file of them (docs/formats.md), overriding those in the image; needed where the image
     has none. A file may lack the image size; where it is for another resolution of the same aspect ratio, it is scaled
-    and a note is logged. Its lens distortion is undone by nearest neighbour; pixels without source become unknown.
+    and a note is logged. Its lens distortion is undone by nearest neighbour, with a note; pixels without source become
+    unknown.
     ``scale_m``: metres per unit of integer depth, and of floats that are no metres (all above 20); by default the
     image's own, else the camera file's, else 0.001. In unsigned 16 bits 65535 is no return.
     Raises ReorientError for a missing, truncated or unknown file, missing intrinsics or intrinsics of another aspect
@@ -54,9 +55,10 @@ def read_depth(path: str | Path, camera: CameraChoice = None, scale_m: float | N
         if array.shape[-1:] == (3,) and array.shape != (pinhole.height, pinhole.width):
             return DepthImage.from_points(depth, pinhole, stamp_s)
         if intrinsics.distortion:
-            _NOTES.warning(
-                "note: the lens distortion of %r is undone; boxes are in the pixels of that image", str(path)
-            )
+            if not isinstance(camera, Intrinsics):  # else it is one of many
+                _NOTES.warning(
+                    "note: the lens distortion of %r is undone; boxes are in the pixels of that image", str(path)
+                )
             depth = intrinsics.distortion.undone(depth, pinhole, np.nan)
             unknown = intrinsics.distortion.undone(unknown, pinhole, True)
         return DepthImage(depth, pinhole, stamp_s, unknown)

@@ -49,6 +49,12 @@ def read_camera(path: str | Path, width: int | None = None, height: int | None =
     return _explained(path, intrinsics, (width, height))
 
 
+def read_pinhole(path: str | Path) -> Camera:
+    """The camera of the images that ``read_depth`` makes with a camera file: as ``read_camera``, without the lens
+    distortion, which it undoes."""
+    return _explained(path, read_intrinsics(path), (None, None))
+
+
 def _explained(path: str | Path, intrinsics: Intrinsics, size: tuple[int | None, int | None]) -> Camera:
     try:
         return intrinsics.camera(*size)

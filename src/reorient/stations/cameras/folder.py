@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from reorient.errors import ReorientError, StationError, check_range
-from reorient.imaging import Camera, DepthImage
+from reorient.imaging import DepthImage
 from reorient.imaging.depth_arrays import READERS
-from reorient.imaging.files import read_camera, read_depth
+from reorient.imaging.files import read_depth
+from reorient.imaging.intrinsics import read_intrinsics
 
 _POLL_S = 0.02
 Seen = dict[Path, tuple[int, int]]
@@ -27,7 +28,8 @@ class FolderCamera:
     frames: str
     """The folder, or a pattern such as ``/data/depth_*.png``."""
     camera: str = ""
-    """File of the intrinsics (JSON); needed unless the frames contain theirs."""
+    """File of the intrinsics (docs/formats.md), whose lens distortion is undone; needed unless the frames contain
+    theirs."""
     scale_m: float | None = None
     """Metres per unit of integer depth; None: as the file states, or 0.001."""
     host_clock: bool = False
@@ -44,7 +46,7 @@ class FolderCamera:
         if not self._folder.is_dir():
             raise ReorientError(f"no folder {str(self._folder)!r}: expected a folder, or a pattern of files in one")
         self._own_stamps = False
-        self._camera: Camera | None = read_camera(self.camera) if self.camera else None
+        self._intrinsics = read_intrinsics(self.camera) if self.camera else None
 
     def capture(self) -> DepthImage:
         """The next frame. Raises StationError where none arrives, or none that can be read."""
@@ -97,7 +99,7 @@ class FolderCamera:
 
     def _read(self, path: Path) -> DepthImage:
         changed_s = path.stat().st_mtime
-        image = read_depth(path, self._camera, self.scale_m)
+        image = read_depth(path, self._intrinsics, self.scale_m)
         self._own_stamps = image.stamp_s is not None
         stamp_s = changed_s if image.stamp_s is None else image.stamp_s
         return DepthImage(image.depth_m, image.camera, stamp_s, unknown=~image.valid)
