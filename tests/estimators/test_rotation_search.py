@@ -10,7 +10,7 @@ from reorient.estimators import load_estimator
 from reorient.estimators import polish as polish_module
 from reorient.estimators.polish import Polished, polish, uncertainty
 from reorient.estimators.rotation_search import RotationSearch
-from reorient.estimators.search import EFFORTS, Stage, perturb_and_select, search
+from reorient.estimators.search import EFFORTS, INCOMPLETE, Stage, from_no_rotation, perturb_and_select, search
 from reorient.estimators.verifier import FEATURES, Verifier, features, load_verifier
 from reorient.imaging import Camera, DepthImage
 from reorient.registration import Hypotheses, build_problem
@@ -242,3 +242,23 @@ def test_the_polish_improves_an_answer_and_leaves_one_that_its_steps_worsen(mesh
     monkeypatch.setattr(polish_module, "refine", lambda *_: slid)
     monkeypatch.setattr(polish_module, "register", lambda *_: Polished(slid, 5))
     assert polish(problem, truth).hypothesis is truth
+
+
+@pytest.mark.parametrize(("cut", "incomplete"), [(True, True), (False, False)])
+def test_icp_from_no_rotation_joins_where_a_part_is_beyond_the_frame(mesh, cut, incomplete):
+    pair = pair_of(mesh, 2, 12, Sensor(rectangle=False, dropout=0))
+    goal = pair.goal
+    if cut:  # at the column that leaves two thirds of the returns
+        left = int(np.quantile(np.nonzero(goal.valid)[1], 1 / 3))
+        goal = goal.cropped(left, 0, goal.camera.width - left, goal.camera.height)
+    problem = build_problem(pair.current, goal, None)
+    assert (max(x.unknown_outline for x in (problem.current, problem.goal)) >= INCOMPLETE) == incomplete
+    icp = from_no_rotation(problem)
+    assert errors_deg(icp.R[0], pair.R_goal_current) < 1
+    score = problem.score(icp, 0.012, 1000)
+    without = search(problem, EFFORTS["fast"], robust=False).hypotheses
+    found = search(problem, EFFORTS["fast"]).hypotheses
+    assert len(without) <= len(found)
+    same = np.any(np.all(np.isclose(found.R, icp.R), axis=(1, 2)))
+    better = errors_deg(found.R, icp.R[0]).min() <= 1 and problem.score(found, 0.012, 1000).max() >= score
+    assert (same or better) if incomplete else not same

@@ -81,8 +81,11 @@ def polish(problem: Problem, answer: Hypotheses, *others: Problem) -> Polished:
     return Polished(tried[int(np.argmax(score))], 0 if registered is None else registered.iterations, ends)
 
 
-def register(problem: Problem, answer: Hypotheses, voxel: float) -> Polished | None:
-    """Generalised ICP from an answer; ``voxel`` relative to the object diameter. None for clouds too small for it."""
+def register(
+    problem: Problem, answer: Hypotheses, voxel: float, farthest: float = POLISH.noisy_voxel
+) -> Polished | None:
+    """Generalised ICP from an answer; voxels and farthest correspondences relative to the object diameter. None for
+    clouds too small for it."""
     diameter_m = problem.diameter_m
     current_m = problem.current.points_m.astype(float)
     clouds = (current_m, np.concatenate([x.points_m for x in problem.goal_views]))
@@ -95,7 +98,7 @@ def register(problem: Problem, answer: Hypotheses, voxel: float) -> Polished | N
         tree,
         se3.transform(answer.R[0], answer.t_m[0]),
         registration_type="GICP",
-        max_correspondence_distance=POLISH.noisy_voxel * diameter_m,
+        max_correspondence_distance=farthest * diameter_m,
         max_iterations=20,
         rotation_epsilon=1e-5,
         translation_epsilon=1e-5 * diameter_m,

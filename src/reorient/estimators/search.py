@@ -7,8 +7,9 @@
 3. Gauss-Newton to the finest tolerance, and non-maximum suppression.
 
 All this twice: with the silhouettes, which help where the images show the whole object, and with less work without
-them, which mislead where part of it is missing. Both sets of hypotheses go to the verifier. A first search whose best
-hypothesis needs to be beyond doubt does without the second.
+them, which mislead where part of it is missing. Where a part is known to be missing, as beyond the frame, generalised
+ICP from no rotation finds small ones that neither does. All these hypotheses go to the verifier. A first search whose
+best hypothesis needs to be beyond doubt does without the second and ICP.
 """
 
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from jaxtyping import Bool
 from numpy.random import Generator
 
 from reorient import so3
+from reorient.estimators.polish import register
 from reorient.registration import Hypotheses, Problem, non_maximum_suppression, refine
 
 
@@ -64,6 +66,9 @@ class Effort:
 GRID_TOLERANCE = 0.05  # depth difference of an inlier, relative to the object diameter
 SLIDE, SLIDE_POINTS = (0.08, 0.08), 60  # the two steps from the grid: tolerances (docs/tuning.md), points of each image
 MODE_RADIUS_RAD = float(np.radians(15))  # of the non-maximum suppression after these
+
+INCOMPLETE = 0.02  # unknown share of the outline of an image that may miss a part; at most 0.005 of whole objects
+ICP = ((0.032, 0.12), (0.009, 0.03))  # voxels and farthest correspondences, as of the estimator gicp
 
 SAME_RAD = float(np.radians(1))  # a hypothesis of one search this close to one of the other is the same; not tuned
 
@@ -131,14 +136,28 @@ class Found:
 
 
 def search(problem: Problem, effort: Effort, robust: bool = True) -> Found:
-    """Distinct hypotheses of a search with the silhouettes and, if ``robust``, of one without. Deterministic."""
+    """Distinct hypotheses of a search with the silhouettes and, if ``robust``, of one without, and of ICP.
+    Deterministic."""
     hypotheses = search_once(problem, effort)
     count = len(hypotheses)
     if robust:
         hypotheses = hypotheses.and_also(search_once(problem.without_silhouettes, EFFORTS["fast"]))
+        if max(problem.current.unknown_outline, problem.goal.unknown_outline) >= INCOMPLETE:
+            hypotheses = hypotheses.and_also(from_no_rotation(problem))
     score = problem.score(hypotheses, effort.stages[-1].scored_tolerance, effort.stages[-1].scored_points)
     kept = non_maximum_suppression(hypotheses.R, score, SAME_RAD)
     return Found(hypotheses[kept], kept < count)
+
+
+def from_no_rotation(problem: Problem) -> Hypotheses:
+    """Where generalised ICP from no rotation ends; nothing of clouds too small for it."""
+    found = problem.start(np.eye(3)[None])
+    for voxel, farthest in ICP:
+        registered = register(problem, found, voxel, farthest)
+        if registered is None:
+            return found[:0]
+        found = registered.hypothesis
+    return found
 
 
 def search_once(problem: Problem, effort: Effort) -> Hypotheses:

@@ -127,6 +127,13 @@ class DepthView:
         view._surface_m = np.where(self._gap_px <= GAP_PX, self._surface_m, -OUTSIDE_M)
         return view
 
+    @property
+    def unknown_outline(self) -> float:
+        """Share of the pixels around the returns that are unknown: of an object that goes on there, perhaps."""
+        image = self.image
+        around = ndimage.binary_dilation(image.valid, np.ones((3, 3))) & ~image.valid
+        return float(np.mean(image.unknown[around])) if around.any() else 1.0
+
     @cached_property
     def diameter_m(self) -> float:
         """Diagonal of the box around the returns; a few stray returns far from the rest do not count."""
