@@ -47,6 +47,11 @@ UNTIMED = ("seconds",)  # columns that differ between runs of the same config
 IGNORED = ("config.json", "table.md", "zarr.json")  # with the command, the times of estimates, the time of creation
 
 
+def begun(path: Path) -> bool:
+    """Whether a file is what a killed process was writing: hidden, or zarr's temporary file."""
+    return (path.name.startswith(".") and path.name != ".lock") or path.suffix == ".partial"
+
+
 def contents(folder: Path) -> dict[str, Any]:
     """The results in a folder, without what differs between two uninterrupted runs."""
     found: dict[str, Any] = {}
@@ -55,7 +60,7 @@ def contents(folder: Path) -> dict[str, Any]:
         if file.name.endswith(".csv.gz") or file.suffix == ".csv":
             with gzip.open(file, "rt", newline="") if file.suffix == ".gz" else file.open(newline="") as text:
                 found[name] = [{k: v for k, v in row.items() if k not in UNTIMED} for row in csv.DictReader(text)]
-        elif not (file.name in IGNORED or file.name.startswith(".") or file.name == "last.ckpt" or "log" in name):
+        elif not (begun(file) or file.name in (*IGNORED, ".lock", "last.ckpt") or "log" in name):
             found[name] = hashlib.sha256(file.read_bytes()).hexdigest()
     return found
 
@@ -106,7 +111,7 @@ def killed(verb: str, times: int, folder: Path, pairs: Path, rng: random.Random)
         failed += code != 0
         ended += 1
         different += contents(out) != whole
-        leftovers += sum(path.name.startswith(".") and path.name != ".lock" for path in out.rglob("*"))
+        leftovers += sum(begun(path) for path in out.rglob("*"))
         shutil.rmtree(out)
         out = folder / str(ended)
     return {

@@ -57,6 +57,29 @@ def test_one_row_each(finished):
     assert np.median(near) < 1
 
 
+def test_a_cad_goal_is_exact_and_shows_the_goal_pose(tmp_path):
+    config = replace(TINY, estimators=("gicp",), ranges_deg=((0, 30),), noise_mm=(1.0,), pairs=1, goal_views=(6,))
+    goals = []
+
+    def measure(config, pair, goal, group, pivot_m):
+        goals.append((goal, pair))
+        return [answer_cells(pair.R_goal_current, pair, group)]
+
+    for cad in (False, True):
+        list(measure_pairs(replace(config, cad=cad), tmp_path / str(cad), measure))
+    (sensed, _), (rendered, pair) = goals
+    assert len(rendered.views) == len(sensed.views) == 5
+    both = rendered.image.valid & pair.goal.valid
+    away_m = np.abs(rendered.image.depth_m - pair.goal.depth_m)[both]
+    assert np.median(away_m) < 0.002  # the sensor's noise
+    assert away_m.max() > 0
+    center_m = pair.placement.center_m
+    for view in rendered.views:
+        np.testing.assert_allclose(view.R_goal_view @ center_m + view.t_goal_view_m, center_m, atol=1e-9)
+    with pytest.raises(ReorientError, match="--cad with --slip-deg 1"):
+        replace(config, cad=True, slip_deg=1.0)
+
+
 def test_estimators_meet_the_same_pairs(finished):
     by_cell: dict = {}
     for row in rows_of(finished):

@@ -20,10 +20,12 @@ from reorient.estimators.base import Estimator
 from reorient.experiments.cached import cached_estimator, cached_object
 from reorient.experiments.cells import COLUMNS, estimate_cells
 from reorient.imaging.goal import Goal
+from reorient.imaging.viewpoints import spread_rotations
 from reorient.runs.pool import Pool
 from reorient.runs.provenance import read_record
 from reorient.runs.run import CONFIG, Progress, Row, RowStore, Tables, resumable
 from reorient.world.goals import ALL_ROUND, sample_goal
+from reorient.world.mesh_goal import rendered_goal
 from reorient.world.objects import ObjectSet, ObjectSource
 from reorient.world.pairs import Pair, sample_pair, view_overlap
 from reorient.world.rendering import Renderer, load_world
@@ -54,6 +56,8 @@ class Evaluation:
     round."""
     slip_deg: float = 0.0
     """Largest error of the stated rotations of further goal views."""
+    cad: bool = False
+    """Render the goal views from the mesh without noise, with exact motions, as a goal from CAD."""
     seed: int = 0
     """Seed of the pairs."""
 
@@ -64,6 +68,10 @@ class Evaluation:
         check_counts(self, "pairs")
         check_range(self, "goal_views", low=1, high=ALL_ROUND)
         check_range(self, "slip_deg", high=180)
+        if self.cad and self.slip_deg:
+            raise ReorientError(
+                f"--cad with --slip-deg {self.slip_deg:g}: expected one of them, rendered views are exact"
+            )
         check_distinct(self, "estimators", "ranges_deg", "noise_mm", "goal_views")
         if not self.estimators:
             raise ReorientError("no estimators: expected at least one")
@@ -163,6 +171,9 @@ def _pair(config: Evaluation, renderer: Renderer, index: int, low: float, high: 
 
 
 def _goal(config: Evaluation, renderer: Renderer, pair: Pair, index: int, views: int, noise_mm: float) -> Goal:
+    if config.cad:
+        R, camera = pair.R_goal_current @ pair.R_camera_object, load_world(config.world).camera
+        return rendered_goal(renderer, pair.placement, R, camera, spread_rotations(views - 1))
     rng = np.random.default_rng([config.seed, index, views])
     slip_rad = float(np.radians(config.slip_deg))
     return sample_goal(rng, renderer, load_world(config.world), randomised(noise_mm / 1000), pair, views, slip_rad)

@@ -46,11 +46,22 @@ def mesh_goal(
         fits = [f"{name} ({_size(extents, x)})" for name, x in UNITS_M.items() if not refusal(x)]
         question = f"; is the unit {' or '.join(fits)}?" if fits else ""
         raise ReorientError(f"{path}: the object measures {_size(extents, unit_m)}, {reason}{question}")
-    center_m = se3.apply(T, middle * unit_m)
-    renderer, placement = Renderer(mesh), Placement(unit_m, center_m)
+    placement = Placement(unit_m, se3.apply(T, middle * unit_m))
+    return rendered_goal(Renderer(mesh), placement, R, camera, rotations)
+
+
+def rendered_goal(
+    renderer: Renderer,
+    placement: Placement,
+    R_camera_object: Float[np.ndarray, "3 3"],
+    camera: Camera,
+    rotations: Sequence[Float[np.ndarray, "3 3"]],
+) -> Goal:
+    """The goal of a mesh in a pose, with further views after ``rotations``, R_view_goal, about its centre."""
+    center_m = placement.center_m
 
     def image(R_view_goal: Float[np.ndarray, "3 3"]) -> DepthImage:
-        return DepthImage(renderer.depth(camera, R_view_goal @ R, placement), camera)
+        return DepthImage(renderer.depth(camera, R_view_goal @ R_camera_object, placement), camera)
 
     views = [GoalView(image(R_vg), R_vg.T, center_m - R_vg.T @ center_m) for R_vg in rotations]
     return Goal(image(np.eye(3)), tuple(views))
