@@ -65,14 +65,15 @@ def contents(folder: Path) -> dict[str, Any]:
     return found
 
 
-def forked(words: list[str], kill_after_s: float | None = None) -> int | None:
-    """The exit code of a command line in a child process; None where it was killed before its end."""
+def forked(words: list[str], kill_after_s: float | None = None, output: str = os.devnull) -> int | None:
+    """The exit code of a command line in a child process, whose output goes to a file; None where it was killed before
+    its end."""
     child = os.fork()
     if not child:
         os.setsid()
-        silent = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(silent, 1)
-        os.dup2(silent, 2)
+        file = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+        os.dup2(file, 1)
+        os.dup2(file, 2)
         try:
             reorient(words)
         except SystemExit as error:
@@ -104,11 +105,14 @@ def killed(verb: str, times: int, folder: Path, pairs: Path, rng: random.Random)
     kills = ended = different = failed = leftovers = 0
     out = folder / "0"
     while kills < times or out.exists():
-        code = forked(words(out), rng.uniform(0, 1.3 * whole_s) if kills < times else None)
+        output = folder / "output.txt"
+        code = forked(words(out), rng.uniform(0, 1.3 * whole_s) if kills < times else None, str(output))
         if code is None:
             kills += 1
             continue
-        failed += code != 0
+        if code:
+            failed += 1
+            print(f"{verb} failed with {code}: {output.read_text()[-500:]}", file=sys.stderr)
         ended += 1
         different += contents(out) != whole
         leftovers += sum(begun(path) for path in out.rglob("*"))

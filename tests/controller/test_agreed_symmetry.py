@@ -24,6 +24,16 @@ def test_half_of_the_estimates_suffice_and_fewer_do_not(times, agreed):
     assert len(AgreedSymmetry.of(estimates).rotations) == agreed
 
 
+@pytest.mark.parametrize(("third", "agreed"), [(True, 4), (False, 2)])
+def test_symmetries_are_a_group(third, agreed):
+    """Two half rotations in turn are a third; without it the less stated one of the two was imagined."""
+    other, both = so3.exp(np.pi * np.eye(3)[1]), so3.exp(np.pi * Z)
+    estimates = [stating(FLIP, other, *[both] * third), stating(FLIP, other, *[both] * third), stating(FLIP)]
+    symmetry = AgreedSymmetry.of(estimates)
+    assert len(symmetry.rotations) == agreed
+    assert so3.angle_difference(symmetry.rotations, FLIP).min() == pytest.approx(0)
+
+
 def test_nearest_is_modulo_the_symmetry(rng):
     symmetry = AgreedSymmetry.of([stating(FLIP)])
     R, target = so3.sample_uniform(rng, 2)

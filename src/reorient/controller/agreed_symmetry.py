@@ -9,8 +9,8 @@ from jaxtyping import Float
 from reorient import so3
 from reorient.estimators.base import RotationEstimate
 
-SAME_RAD = float(np.radians(6))
-"""Symmetries of two estimates that differ by less are one. Not tuned."""
+SAME_RAD = float(np.radians(8))
+"""Symmetries of two estimates, or two in turn and a third, that differ by less are one. Not tuned."""
 LEAST_SHARE = 0.5
 """Of the estimates that state a symmetry. A single one may miss, or imagine, some. Not tuned."""
 ABOUT_RAD = np.radians([40.0, -40.0])
@@ -28,16 +28,22 @@ class AgreedSymmetry:
 
     @classmethod
     def of(cls, estimates: Sequence[RotationEstimate]) -> "AgreedSymmetry":
-        """What ``LEAST_SHARE`` of some estimates state."""
+        """What ``LEAST_SHARE`` of some estimates state, as far as it is a group: two in turn are a symmetry, too."""
         stated = [np.stack([np.eye(3), *x.symmetries]) for x in estimates]
         if all(len(x) == 1 for x in stated):
             return cls()
         found = np.concatenate(stated)
         found = found[so3.non_maximum_suppression(found, np.zeros(len(found)), SAME_RAD)]
-        found = found[np.mean([[_holds(x, R) for R in found] for x in stated], axis=0) >= LEAST_SHARE]
+        share = np.mean([[_holds(x, R) for R in found] for x in stated], axis=0)
+        found, share = found[share >= LEAST_SHARE], share[share >= LEAST_SHARE]
         axes = [x.free_axis for x in estimates if x.free_axis is not None]
         free = [axis for axis in axes if all(_holds(found, R) for R in so3.exp(ABOUT_RAD[:, None] * axis))]
-        return cls(found, free[-1] if free else None)
+        if free:
+            return cls(found, free[-1])
+        while not all(_holds(found, R) for R in (found[:, None] @ found).reshape(-1, 3, 3)):
+            kept = np.arange(len(found)) != len(found) - 1 - np.argmin(share[::-1])  # without the least stated one
+            found, share = found[kept], share[kept]
+        return cls(found)
 
     def nearest(
         self, R: Float[np.ndarray, "n 3 3"], target: Float[np.ndarray, "3 3"]
