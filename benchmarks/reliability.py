@@ -20,6 +20,7 @@ import signal
 import sys
 import tempfile
 import time
+import traceback
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -79,6 +80,8 @@ def forked(words: list[str], kill_after_s: float | None = None, output: str = os
         except SystemExit as error:
             os._exit(int(error.code or 0))
         except BaseException:
+            traceback.print_exc()
+            sys.stderr.flush()
             os._exit(3)
         os._exit(0)
     deadline = time.monotonic() + (kill_after_s if kill_after_s is not None else float("inf"))
@@ -112,7 +115,7 @@ def killed(verb: str, times: int, folder: Path, pairs: Path, rng: random.Random)
             continue
         if code:
             failed += 1
-            print(f"{verb} failed with {code}: {output.read_text()[-500:]}", file=sys.stderr)
+            print(f"{verb} failed with {code}: {output.read_text()[-2000:]}", file=sys.stderr)
         ended += 1
         different += contents(out) != whole
         leftovers += sum(begun(path) for path in out.rglob("*"))

@@ -118,6 +118,18 @@ def test_killed_at_any_moment_it_ends_the_same(trained, small_set, tmp_path):
     assert same(weights(out), weights(trained[0]))
 
 
+@pytest.mark.parametrize("empty", [False, True])
+def test_killed_between_metrics_and_checkpoint_it_has_each_epoch_once(trained, small_set, tmp_path, empty):
+    out = tmp_path / "run"
+    shutil.copytree(trained[0], out)
+    (out / "last.ckpt").unlink()
+    if empty:
+        (out / "metrics.csv").write_text("")
+    run(DEBUG, small_set, out)
+    assert [int(row["epoch"]) for row in rows(out)] == [0, 1]
+    assert same(weights(out), weights(trained[0]))
+
+
 def test_a_finished_run_does_nothing_more(trained, small_set):
     out, _ = trained
     before = (out / "metrics.csv").read_bytes()

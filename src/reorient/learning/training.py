@@ -126,8 +126,6 @@ class _Run:
             self.network.load_state_dict(saved_state.pop("network"))
             self.optimizer.load_state_dict(saved_state.pop("optimizer"))
             self.state |= saved_state
-        if self.fabric.is_global_zero and not self.state["finished"]:
-            _drop_rows_from(self.out, self.state["epoch"])
 
     def _save(self) -> None:
         if self.fabric.is_global_zero:
@@ -207,7 +205,7 @@ class _Run:
             "validation_median_deg": f"{float(errors_deg.median()):.4f}", "validation_loss": f"{validation_loss:.6f}",
         }  # fmt: skip
         if self.fabric.is_global_zero:
-            _append_row(self.out, row)
+            _write_row(self.out, row)
             self.fabric.log_dict({key: float(row[key]) for key in COLUMNS[4:]}, step=steps)
         return Progress(epoch, steps, config.epochs * batches, float(row["loss"]), rate, mean_deg, better)
 
@@ -260,22 +258,14 @@ def _begin(config: Training, reader: PairReader, out: Path, fabric: Fabric) -> N
             temporary.write_text(json.dumps(described | {"commit": commit()}, indent=1), encoding="utf-8")
 
 
-def _append_row(out: Path, row: dict[str, Any]) -> None:
+def _write_row(out: Path, row: dict[str, Any]) -> None:
+    """Add a row to the metrics, without those of its own and later epochs that a killed run left."""
     file = out / "metrics.csv"
-    new = not file.exists()
-    with file.open("a", encoding="utf-8", newline="") as handle:
-        writer = csv.DictWriter(handle, COLUMNS)
-        if new:
-            writer.writeheader()
-        writer.writerow(row)
-
-
-def _drop_rows_from(out: Path, epoch: int) -> None:
-    """Remove the rows of epochs that were not yet in the checkpoint when a run was killed."""
-    file = out / "metrics.csv"
+    rows: list[dict[str, Any]] = []
     if file.is_file():
-        rows = [row for row in csv.DictReader(file.open()) if int(row["epoch"]) < epoch]
-        with replacing(file) as temporary, temporary.open("w", encoding="utf-8", newline="") as handle:
-            writer = csv.DictWriter(handle, COLUMNS)
-            writer.writeheader()
-            writer.writerows(rows)
+        with file.open(encoding="utf-8", newline="") as handle:
+            rows = [x for x in csv.DictReader(handle) if int(x["epoch"]) < row["epoch"]]
+    with replacing(file) as temporary, temporary.open("w", encoding="utf-8", newline="") as handle:
+        writer = csv.DictWriter(handle, COLUMNS)
+        writer.writeheader()
+        writer.writerows([*rows, row])
