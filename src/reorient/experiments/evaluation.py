@@ -57,7 +57,7 @@ class Evaluation:
     slip_deg: float = 0.0
     """Largest error of the stated rotations of further goal views."""
     cad: bool = False
-    """Render the goal views from the mesh without noise, with exact motions, as a goal from CAD."""
+    """Render the goal views from the mesh, as from CAD: without noise, and with exact motions."""
     seed: int = 0
     """Seed of the pairs."""
 
