@@ -23,7 +23,7 @@ options:
   --traceback      With any verb: show where an error arose.
 
 exit codes:
-  0 success, 1 the loop did not converge, 2 bad input or a failed device, 130 interrupted"""
+  0 success, 1 the loop did not converge, 2 bad input or no device, 130 interrupted"""
 
 
 def main(arguments: list[str] | None = None) -> None:
