@@ -10,7 +10,7 @@ from reorient import so3
 from reorient.controller.arrival import Observation
 from reorient.controller.hypotheses import BeliefSettings, Viewpoint, hypotheses_of
 from reorient.estimators import load_estimator
-from reorient.estimators.goal_symmetry import shows_all_sides, symmetries
+from reorient.estimators.goal_symmetry import Symmetry, shows_all_sides, symmetries
 from reorient.imaging import Goal
 from reorient.registration import aligned_goal
 from reorient.world.goals import sample_goal
@@ -75,6 +75,21 @@ def test_a_solid_of_revolution_has_an_axis_and_the_error_none_about_it(body, swa
     np.testing.assert_allclose(estimate.free_axis, group.axis, atol=1e-3)
     assert estimate.free_axis @ estimate.covariance_rad2 @ estimate.free_axis < 1e-12
     assert np.trace(estimate.covariance_rad2) > 0
+
+
+def test_the_projection_takes_out_rotations_about_the_axis_and_nothing_else(rng):
+    """The axis is beside the point about which small motions rotate."""
+    axis, unit_m = so3.sample_axes(rng, 1)[0], 0.05
+    point_m, about_m = rng.normal(0, 0.1, (2, 3))
+    projection = Symmetry(axis=axis, point_m=point_m).projection(about_m, unit_m)
+
+    def small(rotvec, center_m):
+        R = so3.exp(rotvec)
+        return np.concatenate([rotvec, (R @ (about_m - center_m) + center_m - about_m) / unit_m])
+
+    np.testing.assert_allclose(projection @ small(1e-6 * axis, point_m), 0, atol=1e-11)
+    across = np.cross(axis, so3.sample_axes(rng, 1)[0])
+    np.testing.assert_allclose(projection @ small(1e-6 * across, point_m), small(1e-6 * across, point_m), atol=1e-11)
 
 
 @pytest.mark.slow

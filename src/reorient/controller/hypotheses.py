@@ -86,6 +86,7 @@ class Hypothesis:
     log_odds: float = 0.0
     """Log-odds in all."""
     symmetry: AgreedSymmetry = field(default_factory=AgreedSymmetry)
+    """What makes rotations the same."""
 
     def R_goal_then(self, R_then_start: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
         """The remaining rotation from a viewpoint, the smallest of those that are the same."""
